@@ -32,7 +32,7 @@ from benchmarks import timing
 from jaxbound.recordings.read import read_signals
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.assessment import peers
-from jaxbound.studies.assessment.peers import complete
+from jaxbound.studies.identification.regression import windows_without
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SEEDS = range(5)
@@ -147,6 +147,13 @@ class Threshold:
     def alarms(self, u, y, starts=()):
         """Return (..., T) bool."""
         return (abs(self.errors.errors(u, y)) > self.limit).any(-1)
+
+
+def complete(y, starts, horizon):
+    """Return (T,) bool: a window of horizon + 1 samples ends here, across no gap and with all outputs."""
+    ends = np.zeros(len(y), bool)
+    ends[horizon + windows_without(np.isnan(y).any(1), starts, horizon)] = True
+    return ends
 
 
 def samples(u, y, starts):

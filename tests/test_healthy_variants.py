@@ -68,7 +68,7 @@ class Bench:
         cuts = sorted(v.draw.randrange(len(data)) for _ in range(v.draw.choice((0, 3, 40))))
         pieces = [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
         try:
-            pipe.judge_stream(self.folder / "model.toml", pieces, out=place / "out")
+            pipe.judge_stream(pipe.LiveRun(self.folder / "model.toml", out=place / "out"), pieces)
         except pipe.Refused as e:
             return None, str(e)
         rows = (place / "out" / "verdicts.csv").read_text().splitlines()[1:]

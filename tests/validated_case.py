@@ -5,8 +5,8 @@ tested with.
 import numpy as np
 
 import jaxbound as jb
-from jaxbound.cli.validation import Validated
 from jaxbound.recordings.recording import Recording
+from jaxbound.reports.validated import Validated
 from jaxbound.sets.intervals.interval import Interval
 
 Status = jb.Status

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from jaxbound.models.rows import WeightedSum
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.window import bounded_sums
 
 __all__ = ["exact_floats", "plain_factors", "plain_model", "plain_names", "plain_samples", "plain_sums"]
 
@@ -24,7 +23,7 @@ def plain_model(model: LinearSystem) -> dict[str, Any]:
     plain |= {"offset_u": model.offset["u"], "offset_y": model.offset["y"]}
     for name in ("tolerance", "noise", "resolution", "disturbance", "lags"):
         plain[name] = getattr(model, name)
-    bounded = bounded_sums(model)
+    bounded = model.averages
     sums = [one.weighted_sum(model.outputs) for one in bounded]
     plain["averages"] = plain_sums(sums, [one.bound for one in bounded])
     plain["constant"] = model.constant_tolerance

@@ -1,11 +1,12 @@
 """Counts of right and wrong alarms on the terminal, as JSON and as files."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jaxbound.cli.terminal import json_text, show
+from jaxbound.cli.terminal import Conclusion, Row, Table, json_text
 from jaxbound.plots.assessment import plot_assessment
 from jaxbound.plots.canvas import to_png
 from jaxbound.recordings.columns import texts, to_arrow, write_columns
@@ -13,56 +14,66 @@ from jaxbound.studies.assessment.assessment import Assessment, Case, Marks
 from jaxbound.studies.assessment.scores import Score
 from jaxbound.text.quantities import duration, percent
 
-__all__ = ["plain_assessment", "show_assessment", "write_assessment"]
+__all__ = ["AssessmentConclusion", "write_assessment"]
 
 HEAD = ("detector", "factor", "alarm", "false alarms", "a day", "missed", "faults seen", "median delay")
 Named = Mapping[str, Assessment]
 """{model file: Assessment}, the model of the command first."""
 
 
-def show_assessment(named: Named, files: Sequence[str], hints: Sequence[str]) -> None:
-    """Print the counts. files: names of new files."""
-    first = next(iter(named.values()))
-    rows = [("windows", f"{first.score.healthy} healthy, {first.score.faulty} faulty, tested {_test(first)}")]
-    for model, one in named.items():
-        of_model = ""
-        if len(named) > 1:
-            of_model = f"{model}: "
-        for case in one.cases:
-            rows.append((f"{of_model}{case.name}", _case_text(case)))
-        if one.named:
-            rows.append((f"{of_model}isolation", _isolation(one)))
-    rows.append(("factors", f"on all bounds; {first.marks.note}"))
-    for peer in first.peers:
-        rows.append((peer.name, f"{peer.note}; factors are on its threshold"))
-    rows += [("hint", hint) for hint in hints]
-    rows += [("written", file) for file in files]
-    show(_headline(first.score), "bold", rows, table=[HEAD, *_table(named)])
+@dataclass(frozen=True)
+class AssessmentConclusion(Conclusion):
+    """The counts of right and wrong alarms. Fields: named: of each model. out: the folder of the files."""
+
+    named: Named
+    out: Path | None
+
+    @property
+    def headline(self) -> str:
+        """The counts at the bounds as they are."""
+        return _headline(_first(self.named).score)
+
+    def table(self) -> Table:
+        """Return the scores of all detectors."""
+        return [HEAD, *_table(self.named)]
+
+    def rows(self) -> list[Row]:
+        """Return the outcome of each recording, and what factors are on."""
+        first = _first(self.named)
+        windows = f"{first.score.healthy} healthy, {first.score.faulty} faulty, tested {_test(first)}"
+        rows = [("windows", windows)]
+        for model, one in self.named.items():
+            of_model = ""
+            if len(self.named) > 1:
+                of_model = f"{model}: "
+            for case in one.cases:
+                rows.append((f"{of_model}{case.name}", _case_text(case)))
+            if one.named:
+                rows.append((f"{of_model}isolation", _isolation(one)))
+        rows.append(("factors", f"on all bounds; {first.marks.note}"))
+        for peer in first.peers:
+            rows.append((peer.name, f"{peer.note}; factors are on its threshold"))
+        return rows
+
+    def plain(self) -> dict[str, Any]:
+        """Return the counts of all models and detectors."""
+        models = {}
+        for model, one in self.named.items():
+            cases = list(map(_plain_case, one.cases))
+            models[model] = {**_plain_marks(one.marks), "recordings": cases, "isolation": one.isolation}
+        peers = {peer.name: _plain_marks(peer) for peer in _first(self.named).peers}
+        out = self.out and str(self.out)
+        return {"models": models, "peers": peers, "hints": self.hints, "out": out}
 
 
-def plain_assessment(named: Named, out: Path | None, hints: Sequence[str]) -> dict[str, Any]:
-    """Return the counts as JSON has them. out: the folder of its files."""
-    models: dict[str, Any] = {}
-    for model, one in named.items():
-        models[model] = {
-            "scores": [_plain_score(score) for score in one.marks.scores],
-            "recordings": [_plain_case(case) for case in one.cases],
-            "isolation": one.isolation,
-            "note": one.marks.note,
-        }
-    first = next(iter(named.values()))
-    peers = {}
-    for peer in first.peers:
-        peers[peer.name] = {"scores": [_plain_score(score) for score in peer.scores], "note": peer.note}
-    written = None
-    if out is not None:
-        written = str(out)
-    return {"models": models, "peers": peers, "hints": list(hints), "out": written}
+def _first(named: Named) -> Assessment:
+    """Return the Assessment of the command's model."""
+    return next(iter(named.values()))
 
 
 def write_assessment(work: Path, named: Named, plain: dict[str, Any]) -> None:
-    """Write the files into a folder. plain: as of `plain_assessment`."""
-    (work / "evaluation.json").write_text(json_text(plain))
+    """Write the files into a folder. plain: as JSON has it."""
+    (work / "evaluation.json").write_text(json_text(plain), encoding="utf-8")
     curves = []
     for model, marks in _all_marks(named):
         for factor, false, caught in marks.curve.tolist():
@@ -91,7 +102,7 @@ def _together(named: Named) -> Assessment:
 def _all_marks(named: Named) -> list[tuple[str, Marks]]:
     """Return (model file, Marks) of all models, and ("", Marks) of other detectors."""
     marks = [(model, one.marks) for model, one in named.items()]
-    first = next(iter(named.values()))
+    first = _first(named)
     for peer in first.peers:
         marks.append(("", peer))
     return marks
@@ -124,7 +135,7 @@ def _test(one: Assessment) -> str:
 def _table(named: Named) -> list[tuple[str, ...]]:
     """Return the rows of the table: all factors by the first rule, other rules at factor 1."""
     rows = []
-    first = next(iter(named.values()))
+    first = _first(named)
     for model, marks in _all_marks(named):
         for score in marks.scores:
             is_main = (score.k, score.n) == first.rules[0]
@@ -197,6 +208,10 @@ def _isolation(one: Assessment) -> str:
     )
 
 
+def _plain_marks(marks: Marks) -> dict[str, Any]:
+    return {"scores": list(map(_plain_score, marks.scores)), "note": marks.note}
+
+
 def _plain_score(score: Score) -> dict[str, Any]:
     return {
         "factor": score.factor,
@@ -209,13 +224,10 @@ def _plain_score(score: Score) -> dict[str, Any]:
         "faulty_in_alarm": score.caught,
         "missed_share": score.missed_share,
         "faults": score.episodes,
-        "delays": list(score.delays),
+        "delays": score.delays,
         "median_delay": score.delay,
     }
 
 
 def _plain_case(case: Case) -> dict[str, Any]:
-    named = []
-    for naming in case.named:
-        named.append({"signal": naming.signal, "candidates": list(naming.candidates)})
-    return {"recording": case.name, **_plain_score(case.score), "named": named}
+    return {"recording": case.name, **_plain_score(case.score), "named": case.named}

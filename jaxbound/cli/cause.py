@@ -45,7 +45,7 @@ def cause_text(certificate: WindowCertificate, k: int, file: Path | None) -> lis
 def show_cause(found: Diagnosis, labels: Sequence[str], as_json: bool) -> None:
     """Print a Diagnosis: the answer, then each fault; or as JSON and nothing else."""
     if as_json:
-        write(json_text(found.to_dict(), ensure_ascii=False))
+        write(json_text(found.to_dict()))
         return
     rows = []
     for weighed in found.explains:

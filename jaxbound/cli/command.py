@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NoReturn, Protocol
 
-from jaxbound.cli.options import add_loudness
+from jaxbound.cli.options import Options, add_loudness
 from jaxbound.cli.terminal import Refused, write
 
 __all__ = [
@@ -42,19 +42,18 @@ class Command(Protocol):
 
     Fields:
         NAME: as one types it. HELP: one sentence for the list of commands.
+        OPTIONS: its arguments and options.
         EXAMPLES: (command line, its effect). CODES: its exit codes, the end of its help.
     """
 
     NAME: str
     HELP: str
     CODES: str
+    OPTIONS: Options
 
     @property
     def EXAMPLES(self) -> Sequence[tuple[str, str]]:
         """Command lines and their effects."""
-
-    def options(self, parser: argparse.ArgumentParser) -> None:
-        """Add the arguments and options of the command."""
 
     def run(self, args: argparse.Namespace) -> int:
         """Do the work; return the exit code."""
@@ -149,7 +148,7 @@ def add_command(choices: "argparse._SubParsersAction[Parser]", command: Command)
     parser = choices.add_parser(
         command.NAME, help=command.HELP, formatter_class=Formatter, epilog=end_of_help(command)
     )
-    command.options(parser)
+    command.OPTIONS.add_to(parser)
     add_loudness(parser)
     parser.set_defaults(run=command.run)
 

@@ -2,22 +2,23 @@
 
 import re
 import shlex
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 
 from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.options import WINDOWS
-from jaxbound.cli.terminal import json_text, show, write
+from jaxbound.cli.terminal import Conclusion, Row
 from jaxbound.cli.window import DetectRun
 from jaxbound.diagnosis.observed import shown_name
+from jaxbound.reports.monitored import ORDER
 from jaxbound.runs.summary import OUTSIDE, Evidence, OfTest, Summary, Window
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import most_percent, percent, three_digits, times
 
 __all__ = ["conclude"]
 
-STATUSES = ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING")
 TIME = re.compile(r"\S+ s|\d{4}-\d\d-\d\d[ T][\d:.]+")  # of a sample, as `explain --at` takes it
 COLOUR = {
     "no fault": "bold green",
@@ -27,38 +28,57 @@ COLOUR = {
 }
 
 
+@dataclass(frozen=True)
+class Detected(Conclusion):
+    """The conclusion of a run. Fields: evaluation: of its recording. run: what was asked for."""
+
+    evaluation: Evaluation
+    run: DetectRun
+
+    @property
+    def headline(self) -> str:
+        """The sentence of the verdict."""
+        return self.evaluation.summary.sentence
+
+    def rows(self) -> list[Row]:
+        """Return counts, alarms, the worst window, and the command that explains it."""
+        summary, out = self.evaluation.summary, self.run.out
+        evidence = cast(Evidence, summary.found)  # a recording was tested
+        explain = ""
+        # A certificate of one window exists where windows, or an observer, were tested of a certain model.
+        is_certain = evidence.faulty is None and not self.evaluation.model.uncertainties
+        if evidence.counts["FAULT"] and is_certain:
+            explain = f"jaxbound explain {shlex.quote(str(out))} --at "
+        rows = [_counts_row(evidence), _tested_row(evidence), _alarms_row(summary, evidence, explain)]
+        for name, test in (evidence.tests or {}).items():
+            rows.append((f"test {name}", _test_text(test)))
+        if np.isfinite(summary.margin):
+            rows.append(_worst_row(summary, evidence))
+        if evidence.training:
+            rows.append(("training", evidence.training))
+        if explain:
+            rows.append(("proof" if summary.verdict == "fault" else "why", f"{explain}{evidence.at}"))
+        seconds = ", ".join(f"{stage} {s:.1f}" for stage, s in self.evaluation.seconds.items())
+        return [*rows, ("seconds", seconds), ("report", str(out / "report.html"))]
+
+    def plain(self) -> object:
+        """Return the summary, with the files and the seconds of each stage."""
+        seconds = {stage: round(time, 3) for stage, time in self.evaluation.seconds.items()}
+        summary = self.evaluation.summary
+        return summary.plain(data=str(self.run.data), seconds=seconds, out=str(self.run.out))
+
+
 def conclude(evaluation: Evaluation, run: DetectRun) -> int:
     """Print the conclusion of an evaluation; return the exit code."""
-    summary, out = evaluation.summary, run.out
-    if run.json:
-        seconds = {stage: round(time, 3) for stage, time in evaluation.seconds.items()}
-        plain = summary.plain(data=str(run.data), seconds=seconds, out=str(out))
-        write(json_text(plain, 2))
-        return summary.exit_code
-    evidence = cast(Evidence, summary.found)  # a recording was tested
-    # A certificate of one window exists where windows, or an observer, were tested of a certain model.
-    is_explained = evidence.counts["FAULT"] and evidence.faulty is None and not evaluation.model.uncertainties
-    explain = f"jaxbound explain {shlex.quote(str(out))} --at " if is_explained else ""
-    rows = [_counts_row(evidence), _tested_row(evidence), _alarms_row(summary, evidence, explain)]
-    for name, test in (evidence.tests or {}).items():
-        rows.append((f"test {name}", _test_text(test)))
-    if np.isfinite(summary.margin):
-        rows.append(_worst_row(summary, evidence))
-    if evidence.training:
-        rows.append(("training", evidence.training))
-    if explain:
-        rows.append(("proof" if summary.verdict == "fault" else "why", f"{explain}{evidence.at}"))
-    rows += [("hint", hint) for hint in summary.hints]
-    rows.append(("seconds", ", ".join(f"{stage} {s:.1f}" for stage, s in evaluation.seconds.items())))
-    rows.append(("report", str(out / "report.html")))
-    show(summary.sentence, COLOUR[summary.verdict], rows)
+    summary = evaluation.summary
+    Detected(evaluation, run, hints=summary.hints, style=COLOUR[summary.verdict]).show(run.json)
     return summary.exit_code
 
 
 def _counts_row(evidence: Evidence) -> tuple[str, str]:
     counts = []
     is_healthy = evidence.observes or evidence.faulty is not None  # UNDECIDED: what healthy samples are
-    for name in STATUSES:
+    for name in ORDER:
         if evidence.counts[name]:
             counts.append(f"{evidence.counts[name]} {shown_name(Status[name], is_healthy)}")
     return "samples" if evidence.remembers else "windows", ", ".join(counts)
@@ -94,7 +114,7 @@ def _alarms_row(summary: Summary, evidence: Evidence, explain: str) -> tuple[str
 
 def _test_text(test: OfTest) -> str:
     """Return the verdicts of one test of a monitor."""
-    some = [name for name in STATUSES if test.counts[name]]
+    some = [name for name in ORDER if test.counts[name]]
     counts = ", ".join(f"{test.counts[name]} {shown_name(Status[name], test.observes)}" for name in some)
     if np.isfinite(test.margin):
         return f"{counts}; least margin {three_digits(test.margin)}"

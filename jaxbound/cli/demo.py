@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import path, whole_number
+from jaxbound.cli.options import Options, whole_number
 
 NAME = "demo"
 HELP = "run the example of a paper and write its report"
@@ -15,24 +15,14 @@ EXAMPLES = (
     ),
 )
 CODES = "exit code: 0"
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options."""
-    parser.add_argument(
-        "--out",
-        type=path,
-        default=Path("demo-report"),
-        metavar="DIR",
-        help="folder for the report (default: demo-report)",
-    )
-    parser.add_argument(
-        "--runs",
-        type=whole_number(1, 10**7),
-        default=500,
-        metavar="N",
-        help="runs to count detection rates on (default: 500)",
-    )
+OPTIONS = Options(
+    {
+        "--out DIR": "folder for the report (default: demo-report)",
+        "--runs N": "runs to count detection rates on (default: 500)",
+    },
+    {"runs": whole_number(1, 10**7)},
+    {"out": Path("demo-report"), "runs": 500},
+)
 
 
 def run(args: argparse.Namespace) -> int:

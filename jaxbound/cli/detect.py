@@ -6,22 +6,22 @@ from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import EXIT_CODES, swift_imports
 from jaxbound.cli.options import (
+    ALARM,
+    ENGINE,
+    JSON,
+    MARGINS_KIND,
     METHODS,
     OBSERVER,
     OUTSIDE,
+    OUTSIDE_WORD,
+    SET_OBSERVER,
+    WINDOW,
     MethodOptions,
-    add_alarm,
-    add_engine,
-    add_every,
-    add_json,
-    add_margins,
-    add_method,
-    add_observer,
-    add_outside,
-    add_windows,
+    Options,
     alarm_rule,
+    every,
+    method,
     named,
-    path,
     refuse_unknown_method,
     some_of,
     whole_number,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 NAME = "detect"
 HELP = "test a recording against a model and write a report"
-SHARING, ENGINE = ("part", "merge", "overlap"), ("scheduler", "workers")
+SHARING, SPREADING = ("part", "merge", "overlap"), ("scheduler", "workers")
 VALIDATION = "validation"  # `runs.runfile` has it too, and imports more than a help can wait for
 STDIN = "-"
 EXAMPLES = (
@@ -75,76 +75,37 @@ PIPE = (
     "again"
 )
 CODES = EXIT_CODES + SHARES + PIPE
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options."""
-    parser.add_argument(
-        "model",
-        type=path,
-        metavar="MODEL.toml",
-        help="the plant and its bounds: from fit, tune, or written by hand",
-    )
-    parser.add_argument(
-        "data",
-        type=named,
-        metavar="DATA",
-        help="a CSV file, a Parquet file, a folder of Parquet files, which follow each other by name, or -: "
-        "lines of CSV from standard input, each judged as it comes, its verdict on standard output; or "
-        "FILE.py:FUNCTION, a generator of recordings that are judged as they come",
-    )
-    parser.add_argument(
-        "--out",
-        type=path,
-        metavar="DIR",
-        help="folder for verdicts, alarms.csv and report.html; with -, if given, for verdicts.csv and "
-        "monitor.sqlite, with an option of alarms also for alarms.csv",
-    )
-    parser.add_argument(
-        "--state",
-        type=path,
-        metavar="FILE",
-        help="with -: where to remember how to go on (default: DIR/monitor.sqlite)",
-    )
-    parser.add_argument(
-        "--chunk",
-        type=whole_number(1),
-        metavar="N",
-        help="Parquet: samples in memory at once, 65536 at least (default: 1000000)",
-    )
-    parser.add_argument(
-        "--part",
-        type=some_of("i", "2/3"),
-        metavar="i/n",
-        help="Parquet: judge only the i-th of n shares, i from 1 to n, and write its verdicts into DIR, "
-        "beside shares made at the same time or on other machines; exit code 0",
-    )
-    parser.add_argument(
-        "--merge",
-        action="store_true",
-        help="Parquet: judge nothing and report on the shares in DIR: the verdicts, the report and the "
+OPTIONS = Options(
+    {
+        "model MODEL.toml": "the plant and its bounds: from fit, tune, or written by hand",
+        "data DATA": "a CSV file, a Parquet file, a folder of Parquet files, which follow each other by "
+        "name, or -: lines of CSV from standard input, each judged as it comes, its verdict on standard "
+        "output; or FILE.py:FUNCTION, a generator of recordings that are judged as they come",
+        "--out DIR": "folder for verdicts, alarms.csv and report.html; with -, if given, for verdicts.csv "
+        "and monitor.sqlite, with an option of alarms also for alarms.csv",
+        "--state FILE": "with -: where to remember how to go on (default: DIR/monitor.sqlite)",
+        "--chunk N": "Parquet: samples in memory at once, 65536 at least (default: 1000000)",
+        "--part i/n": "Parquet: judge only the i-th of n shares, i from 1 to n, and write its verdicts into "
+        "DIR, beside shares made at the same time or on other machines; exit code 0",
+        "--merge": "Parquet: judge nothing and report on the shares in DIR: the verdicts, the report and the "
         "exit code of one command without --part",
-    )
-    parser.add_argument(
-        "--overlap",
-        type=whole_number(0),
-        metavar="N",
-        help="Parquet and observer: judge each million samples by an observer of its own that begins N "
-        "samples earlier, which can be shared but remembers less (default: one observer)",
-    )
-    add_engine(parser)
-    add_method(
-        parser,
-        "; observer carries everything since it began on; validation bounds states and outputs, names the "
-        "faulty sensor and says what it should have shown",
-    )
-    add_every(parser)
-    add_windows(parser)
-    add_margins(parser)
-    add_outside(parser)
-    add_alarm(parser)
-    add_json(parser)
-    add_observer(parser)
+        "--overlap N": "Parquet and observer: judge each million samples by an observer of its own that "
+        "begins N samples earlier, which can be shared but remembers less (default: one observer)",
+        **ENGINE,
+        **method(
+            "; observer carries everything since it began on; validation bounds states and outputs, names "
+            "the faulty sensor and says what it should have shown"
+        ),
+        **every(),
+        **WINDOW,
+        **MARGINS_KIND,
+        **OUTSIDE_WORD,
+        **ALARM,
+        **JSON,
+        **SET_OBSERVER,
+    },
+    {"data": named, "chunk": whole_number(1), "part": some_of("i", "2/3"), "overlap": whole_number()},
+)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -178,26 +139,27 @@ def run(args: argparse.Namespace) -> int:
 
 def _run_live(args: argparse.Namespace) -> int:
     """Judge samples as they come, from standard input or a live source; return the exit code."""
-    _refuse(args, ENGINE, "is for Parquet: samples through a pipe are judged as they come")
+    _refuse(args, SPREADING, "is for Parquet: samples through a pipe are judged as they come")
     if args.method == VALIDATION:
         raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of {args.data}")
     _refuse(args, (*SHARING, "chunk"), f"is for recordings: give a file instead of {args.data}")
     with swift_imports():
-        from jaxbound.cli.pipe import judge_stream
+        from jaxbound.cli.pipe import LiveRun, judge_stream
         from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
     alarm: AlarmRule | None = alarm_rule(args)
     if alarm == EVERY_FAULT and args.alarm is None:
         alarm = None  # no option asks for alarms
-    return judge_stream(
+    live = LiveRun(
         args.model,
-        options=MethodOptions.of(args),
-        data=args.data,
-        out=args.out,
-        state=args.state,
-        min_coverage=args.min_coverage,
-        as_json=args.json,
-        alarm=alarm,
+        MethodOptions.of(args),
+        args.data,
+        args.out,
+        args.state,
+        args.min_coverage,
+        args.json,
+        alarm,
     )
+    return judge_stream(live)
 
 
 def _evaluate_parts(run: "DetectRun") -> "Evaluation":
@@ -254,9 +216,9 @@ def _refuse_shares(args: argparse.Namespace, has_parts: bool) -> None:
     if not has_parts:
         _refuse(args, of_parts, f"is for Parquet: {args.data} is read as a whole")
     if args.method == VALIDATION or not has_parts:
-        _refuse(args, ENGINE, f"is for Parquet and other methods: {args.data} is read as a whole")
+        _refuse(args, SPREADING, f"is for Parquet and other methods: {args.data} is read as a whole")
     if args.part is not None or args.merge:
-        _refuse(args, ENGINE, "spreads the work itself: leave out --part and --merge")
+        _refuse(args, SPREADING, "spreads the work itself: leave out --part and --merge")
 
 
 def _refuse(args: argparse.Namespace, names: Sequence[str], why: str) -> None:

@@ -4,23 +4,22 @@ import argparse
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import (
+    JSON,
     METHODS,
     OBSERVER,
+    SET_OBSERVER,
+    WINDOW,
     MethodOptions,
-    add_every,
-    add_json,
-    add_method,
-    add_observer,
-    add_windows,
-    path,
+    Options,
+    every,
+    method,
     refuse_unknown_method,
-    some_of,
 )
-from jaxbound.cli.terminal import OK, Refused, door, json_text, progress_bars, usable_device, write
+from jaxbound.cli.terminal import OK, Refused, door, progress_bars, usable_device
 from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
@@ -53,74 +52,36 @@ CODES = (
     "SIGHUP, 143 by SIGTERM (nothing is written)"
 )
 FILES = ("evaluation.json", "curve.csv", "roc.png")
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options."""
-    parser.add_argument("model", type=path, metavar="MODEL.toml", help="the plant and its bounds")
-    recordings: tuple[tuple[str, str], ...] = (
-        ("--healthy", "recordings without a fault that no bound was found from"),
-        ("--faulty", "recordings with faults"),
-    )
-    for option, about in recordings:
-        parser.add_argument(option, type=path, nargs="+", default=[], metavar="DATA", help=about)
-    parser.add_argument(
-        "--labels",
-        nargs="+",
-        default=[],
-        metavar="FILE|COLUMN",
-        help="which samples of --faulty are faulty: a CSV file of time (or sample) and label, one for all or "
-        "one each, a label holds until the next row; or a column of them. Labels: 0 for healthy, 1, or the "
-        "name of the faulty signal (default: all samples)",
-    )
-    parser.add_argument(
-        "--alarm",
-        type=some_of("k", "3/5"),
-        nargs="+",
-        default=[(1, 1)],
-        metavar="k/n",
-        help="alarm rules, k FAULT among n windows; the first one makes the curve (default: 1/1)",
-    )
-    parser.add_argument(
-        "--factors",
-        metavar="A,B",
-        help="factors on all bounds (default: 0.5,0.7,1,1.5,2,3; an observer is followed once for each)",
-    )
-    parser.add_argument(
-        "--compare", type=path, nargs="+", default=[], metavar="OTHER.toml", help="models beside this one"
-    )
-    parser.add_argument(
-        "--peers",
-        type=path,
-        nargs="+",
-        default=[],
-        metavar="TRAINING",
-        help="PCA, an isolation forest, a CUSUM and a threshold too, trained on these healthy recordings: "
-        "those that the model was fitted to (needs scikit-learn)",
-    )
-    parser.add_argument(
-        "--out", type=path, metavar="DIR", help="folder for evaluation.json, curve.csv and roc.png"
-    )
-    add_method(parser, "; observer carries everything since it began on")
-    add_every(parser)
-    add_windows(parser)
-    add_observer(parser)
-    add_json(parser)
-
-
-class _Read(NamedTuple):
-    """The recordings of a model: healthy and faulty ones, labels of the faulty ones, those for training."""
-
-    healthy: "list[Recording]"
-    faulty: "list[Recording]"
-    labels: "list[np.ndarray | None]"
-    training: "list[Recording]"
+OPTIONS = Options(
+    {
+        "model MODEL.toml": "the plant and its bounds",
+        "--healthy DATA ...": "recordings without a fault that no bound was found from",
+        "--faulty DATA ...": "recordings with faults",
+        "--labels FILE|COLUMN ...": "which samples of --faulty are faulty: a CSV file of time (or sample) "
+        "and label, one for all or one each, a label holds until the next row; or a column of them. Labels: "
+        "0 for healthy, 1, or the name of the faulty signal (default: all samples)",
+        "--alarm k/n ...": "alarm rules, k FAULT among n windows; the first one makes the curve (default: "
+        "1/1)",
+        "--factors A,B": "factors on all bounds (default: 0.5,0.7,1,1.5,2,3; an observer is followed once "
+        "for each)",
+        "--compare OTHER.toml ...": "models beside this one",
+        "--peers TRAINING ...": "PCA, an isolation forest, a CUSUM and a threshold too, trained on these "
+        "healthy recordings: those that the model was fitted to (needs scikit-learn)",
+        "--out DIR": "folder for evaluation.json, curve.csv and roc.png",
+        **method("; observer carries everything since it began on"),
+        **every(),
+        **WINDOW,
+        **SET_OBSERVER,
+        **JSON,
+    },
+    defaults={"alarm": [(1, 1)], **dict.fromkeys(("healthy", "faulty", "labels", "compare", "peers"), [])},
+)
 
 
 def run(args: argparse.Namespace) -> int:
     """Assess models on recordings, print and write what was counted; return the exit code."""
     with swift_imports():
-        from jaxbound.cli.assessment_summary import plain_assessment, show_assessment, write_assessment
+        from jaxbound.cli.assessment_summary import AssessmentConclusion, write_assessment
         from jaxbound.runs.outputs import output_folder
 
     factors = _factors(args.factors)
@@ -140,17 +101,14 @@ def run(args: argparse.Namespace) -> int:
             hints += said
         named = {str(model): one for model, one in zip(models, found, strict=True)}
         hints = list(dict.fromkeys(hints))
-        plain = plain_assessment(named, args.out, hints)
+        written = []
+        if args.out is not None:
+            written = [args.out / file for file in FILES]
+        conclusion = AssessmentConclusion(named, args.out, written=written, hints=hints)
         if folder is not None:
             with folder.work() as work:
-                write_assessment(work, named, plain)
-    if args.json:
-        write(json_text(plain))
-        return OK
-    files: list[str] = []
-    if args.out is not None:
-        files = [str(args.out / file) for file in FILES]
-    show_assessment(named, files, hints)
+                write_assessment(work, named, conclusion.plain())
+    conclusion.show(args.json)
     return OK
 
 
@@ -192,52 +150,41 @@ def _assessed(
     """Return (what a model is worth, hints)."""
     from jaxbound.cli.window import stated_model, window_relations
     from jaxbound.diagnosis.hints import outgrown
+    from jaxbound.recordings.read import read
     from jaxbound.studies.assessment.assessment import FACTORS, assess
 
     stated = stated_model(path, args.every)
-    read = _read(args, stated, with_peers, lambda share: step("read", share))
+    files = [*args.healthy, *args.faulty]
+    training: list[Path] = []
+    if with_peers:
+        training = args.peers
+    recordings = []
+    for number, file in enumerate([*files, *training]):
+        recordings.append(read(file, stated))
+        step("read", (number + 1) / (len(files) + len(training)))
     usable_device()
-    recordings = [*read.healthy, *read.faulty]
-    longest = max(recording.samples for recording in recordings)
+    healthy, faulty = recordings[: len(args.healthy)], recordings[len(args.healthy) : len(files)]
+    labels = []
+    for number, (file, recording) in enumerate(zip(args.faulty, faulty, strict=True)):
+        labels.append(_labels(args.labels, number, file, stated, recording))
+    longest = max(recording.samples for recording in recordings[: len(files)])
     _, relations = window_relations(stated, MethodOptions.of(args), "every recording", longest, step)
     assessment = assess(
         relations,
-        read.healthy,
-        read.faulty,
-        read.labels,
+        healthy,
+        faulty,
+        labels,
         rules=args.alarm,
         factors=factors or FACTORS,
         method=args.method,
-        training=read.training or None,
+        training=recordings[len(files) :] or None,
         names=[str(file) for file in args.faulty],
         progress=lambda share: step("test", share),
     )
     hints = [f"{path}: {hint}" for hint in outgrown(stated, relations)]
-    for file, recording in zip((*args.healthy, *args.faulty), recordings, strict=True):
+    for file, recording in zip(files, recordings, strict=False):
         hints += [f"{file}: {hint}" for hint in recording.hints]
     return assessment, hints
-
-
-def _read(
-    args: argparse.Namespace, model: "LinearSystem", with_peers: bool, report: Callable[[float], object]
-) -> _Read:
-    """Return the recordings of a model."""
-    from jaxbound.recordings.read import read
-
-    training: list[Path] = []
-    if with_peers:
-        training = args.peers
-    files = [*args.healthy, *args.faulty, *training]
-    recordings = []
-    for number, file in enumerate(files):
-        recordings.append(read(file, model))
-        report((number + 1) / len(files))
-    healthy = recordings[: len(args.healthy)]
-    faulty = recordings[len(healthy) : len(healthy) + len(args.faulty)]
-    labels = []
-    for number, (file, recording) in enumerate(zip(args.faulty, faulty, strict=True)):
-        labels.append(_labels(args.labels, number, file, model, recording))
-    return _Read(healthy, faulty, labels, recordings[len(healthy) + len(faulty) :])
 
 
 def _labels(

@@ -7,16 +7,14 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Any
 
 from jaxbound.cli.engine import engine
 from jaxbound.cli.share import opened
 from jaxbound.cli.terminal import door, usable_device
 from jaxbound.cli.window import DetectRun, Step, method_of, recorded, stated_model, window_relations
-from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
-from jaxbound.diagnosis.hints import outgrown
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.severity import fitted
 from jaxbound.models.system import LinearSystem
@@ -24,27 +22,29 @@ from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS
 from jaxbound.recordings.read import open_source
 from jaxbound.reports.detection import write_report
-from jaxbound.runs.digest import digest
-from jaxbound.runs.endings import ending_hints, sizes_seen
+from jaxbound.runs.digest import Digest, digest
+from jaxbound.runs.endings import concluded, sizes_seen
 from jaxbound.runs.outputs import OutputFolder
 from jaxbound.runs.refusals import Interrupted
 from jaxbound.runs.sink import Outcome
-from jaxbound.runs.sinks import Beside, close_all, file_names, open_sinks
+from jaxbound.runs.sinks import close_all, file_names, open_sinks
 from jaxbound.runs.streaming import all_parts, kept, publish, write_parts
-from jaxbound.runs.summary import Summary, summarised
+from jaxbound.runs.summary import Summary
 from jaxbound.text.quantities import percent
 
 __all__ = [
     "FILES_OF_A_WHOLE",
     "FILES_OF_PARTS",
     "FORMER",
+    "PAGE",
     "Evaluation",
     "evaluate",
     "evaluate_parts",
 ]
 
-FILES_OF_A_WHOLE = (*file_names(), "report.html")
-FILES_OF_PARTS = (VERDICTS, "alarms.csv", *file_names(whole=False), "report.html")
+PAGE = "report.html"
+FILES_OF_A_WHOLE = (*file_names(), PAGE)
+FILES_OF_PARTS = (VERDICTS, "alarms.csv", *file_names(whole=False), PAGE)
 # Pictures of an earlier version, which do not belong to a new report.
 FORMER = ("margin.png", "residuals.png", *(f"output{i}.png" for i in range(1, 13)))
 
@@ -80,21 +80,12 @@ def evaluate_parts(folder: OutputFolder, step: Step, run: DetectRun) -> Evaluati
             progress = lambda share: step("report", 0.4 * share)
             sinks = open_sinks(work, whole=False)
             res = digest(how, source, parts, run.alarm, work / "alarms.csv", progress, sinks)
-            sizes = sizes_seen(res, res.alarms)
-            reaches = outgrown(source.model, relations)
-            hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, res.alarms, sizes)))
-            summary = summarised(res, res.alarms, res.label, run.min_coverage, hints, sizes, bool(reaches))
-            tested = cast(LinearSystem, relations.model)
-            close_all(sinks, _outcome(run, res.alarms, summary, tested, source.content, relations))
-            write_report(
-                work,
-                res,
-                res,
-                res.alarms,
-                summary,
-                seconds=seconds,
-                progress=lambda share: step("report", 0.4 + 0.6 * share),
+            outcome = _outcome(
+                run, res, res.alarms, res.label, (source.model, relations.model), source.content
             )
+            summary = outcome.summary
+            close_all(sinks, outcome)
+            write_report(work / PAGE, res, res, res.alarms, summary, seconds)
     except KeyboardInterrupt:
         if done := kept(out / PARTIAL, source.samples):
             share, where = percent(done / source.samples), out / PARTIAL
@@ -134,37 +125,29 @@ def evaluate(
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
 
-    with Beside(open_sinks(work)) as sinks:  # a million verdicts are written while the pictures are drawn
-        with door():
-            res = detect(
-                relations,
-                recording,
-                method=options.method,
-                progress=lambda share: step("test", share),
-                margins=options.margins,
-                outside=options.outside,
-            )
-            sinks.add(recording, res)
-            step("test", 1.0)
-        alarms = res.alarms(rule=run.alarm)
-        seconds["test"], start = time.perf_counter() - start, time.perf_counter()
-        sizes = sizes_seen(res, alarms)
-        # of the model as it is stated: --lags took away the horizon that the bounds were found for
-        reaches = outgrown(stated, relations)
-        hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, alarms, sizes)))
-        summary = summarised(res, alarms, recording.label, run.min_coverage, hints, sizes, bool(reaches))
-        sinks.close(_outcome(run, alarms, summary, tested, content, relations))
-        step("report", 0.1)
-        write_report(
-            work,
-            res,
+    with door():
+        res = detect(
+            relations,
             recording,
-            alarms,
-            summary,
-            seconds=seconds,
-            extra=() if sections is None else sections(res),
-            progress=lambda share: step("report", 0.1 + 0.8 * share),
+            method=options.method,
+            progress=lambda share: step("test", share),
+            margins=options.margins,
+            outside=options.outside,
         )
+        sinks = open_sinks(work)
+        for sink in sinks:
+            sink.add(recording, res)
+        step("test", 1.0)
+    alarms = res.alarms(rule=run.alarm)
+    seconds["test"], start = time.perf_counter() - start, time.perf_counter()
+    outcome = _outcome(run, res, alarms, recording.label, (stated, tested), content)
+    summary = outcome.summary
+    close_all(sinks, outcome)
+    step("report", 0.1)
+    extra: Sequence[tuple[object, ...]] = ()
+    if sections is not None:
+        extra = sections(res)
+    write_report(work / PAGE, res, recording, alarms, summary, seconds, extra)
     step("report", 1.0)
     seconds["report"] = time.perf_counter() - start
     return Evaluation(summary, tested, seconds)
@@ -172,16 +155,24 @@ def evaluate(
 
 def _outcome(
     run: DetectRun,
+    res: Result | Digest,
     alarms: Sequence[Alarm],
-    summary: Summary,
-    tested: LinearSystem,
+    label: Callable[[int], str],
+    models: tuple[LinearSystem, Any],
     content: str | None,
-    relations: Relations,
 ) -> Outcome:
-    """Return the Outcome of a run. tested: the model. content: the digest of the recording."""
+    """Return the Outcome of a run, with its Summary.
+
+    Args:
+        label: the time of a sample by its number. models: as it is stated, and as it was tested. content: the
+            digest of the recording.
+    """
+    relations, (stated, tested) = res.relations, models
+    sizes = sizes_seen(res, alarms)
     return Outcome(
         alarms,
-        summary,
+        # of the model as it is stated: --lags took away the horizon that the bounds were found for
+        concluded(res, alarms, stated, label, run.min_coverage, sizes),
         tested,
         Path(run.data),
         content,

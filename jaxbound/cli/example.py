@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import path
+from jaxbound.cli.options import Options
 from jaxbound.cli.terminal import OK, Refused, door, show, some_device
 
 NAME = "example"
@@ -14,16 +14,12 @@ EXAMPLES = (
     ("jaxbound example heater", "writes heater/healthy_1.csv and others"),
 )
 CODES = "exit codes: 0, or 2 bad input"
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options."""
-    parser.add_argument(
-        "name", nargs="?", metavar="NAME", help="heater or tank; without it, the examples are listed"
-    )
-    parser.add_argument(
-        "--out", type=path, metavar="DIR", help="folder for the files (default: one of that name)"
-    )
+OPTIONS = Options(
+    {
+        "name [NAME]": "heater or tank; without it, the examples are listed",
+        "--out DIR": "folder for the files (default: one of that name)",
+    }
+)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,16 +29,16 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.runs.outputs import output_folder
 
     if args.name is None:
-        table = [(example.name, example.about) for example in EXAMPLE_SETS.values()]
+        table = [(name, example.about) for name, example in EXAMPLE_SETS.items()]
         show("examples", "bold", table, text="\njaxbound example heater writes its files into heater/")
         return OK
     if args.name not in EXAMPLE_SETS:
         raise Refused(f"there is no example {args.name!r}: choose one of {', '.join(EXAMPLE_SETS)}")
     example = EXAMPLE_SETS[args.name]
     out = args.out or Path(args.name)
-    with door(), output_folder(out, example.files) as folder, folder.work() as work:
+    with door(), output_folder(out, list(example.files)) as folder, folder.work() as work:
         some_device()
-        rows = example.write(work)
+        example.write(work)
     first = f"\ntry:\n  cd {out}\n  {example.first}"
-    show(f"{example.name}: {example.about}, in {out}", "bold", rows, text=first)
+    show(f"{args.name}: {example.about}, in {out}", "bold", example.files.items(), text=first)
     return OK

@@ -59,7 +59,7 @@ def heater_model() -> LinearSystem:
     )
 
 
-def _write_heater(folder: Path) -> list[tuple[str, str]]:
+def _write_heater(folder: Path) -> None:
     """Write three healthy recordings of ten minutes, the third once more with a jump, and the true model."""
     model = heater_model()
     save_model(model, folder / "truth.toml")
@@ -75,20 +75,9 @@ def _write_heater(folder: Path) -> list[tuple[str, str]]:
                 _write_recording(folder / name, model, u, np.asarray(y))
     rows = ["unit,model,recording", "lab 1,plant.toml,healthy_3.csv", "lab 2,plant.toml,jump.csv"]
     (folder / "units.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    return [
-        ("healthy_1.csv", "10 minutes at 3 s: heaters Q1, Q2 in %, temperatures T1, T2 in degC"),
-        ("healthy_2.csv", "the same on another day"),
-        ("healthy_3.csv", "and another one, kept for the test"),
-        ("jump.csv", f"healthy_3.csv with {JUMP:g} degC added to T1 from sample {ONSET}, {3 * ONSET} s, on"),
-        (
-            "units.csv",
-            "a table of two units for jaxbound fleet, with the model that jaxbound fit is to write",
-        ),
-        ("truth.toml", "the model that made them, with the bounds within which everything was drawn"),
-    ]
 
 
-def _write_tank(folder: Path) -> list[tuple[str, str]]:
+def _write_tank(folder: Path) -> None:
     """Write the template of a model file and a recording to it in which the level reads too much for a
     minute.
     """
@@ -97,14 +86,6 @@ def _write_tank(folder: Path) -> list[tuple[str, str]]:
     u = 50 + np.repeat(np.random.default_rng(1).integers(0, 6, (15, 1)) / 2, 20, 0)
     run = simulate(model, u, jax.random.key(1), faults=[Fault("level", "bias", 0.5, 200, 260)])
     _write_recording(folder / "tank.csv", model, u, np.asarray(run.y))
-    return [
-        ("tank.toml", "the commented model file of jaxbound info --template"),
-        (
-            "tank.csv",
-            "5 minutes at 1 s; the level sensor reads 0.5 m too much from 200 s to 260 s: windows of 16 "
-            "samples show all of it",
-        ),
-    ]
 
 
 @dataclass(frozen=True)
@@ -112,36 +93,41 @@ class Example:
     """An example: recordings whose truth is known.
 
     Fields:
-        name, about: of it. files: that it consists of. first: the command to try first.
-        write: writes the files into a folder and returns rows of (file, what it holds).
+        about: it in words. files: {file: its contents in words}. first: the command to try first.
+        write: writes the files into a folder.
     """
 
-    name: str
     about: str
-    files: tuple[str, ...]
+    files: dict[str, str]
     first: str
-    write: Callable[[Path], list[tuple[str, str]]]
+    write: Callable[[Path], None]
 
 
 EXAMPLES = {
-    example.name: example
-    for example in (
-        Example(
-            "heater",
-            "a laboratory with two heaters: three healthy recordings, one with a fault",
-            ("healthy_1.csv", "healthy_2.csv", "healthy_3.csv", "jump.csv", "units.csv", "truth.toml"),
-            'jaxbound fit healthy_1.csv healthy_2.csv --inputs "Q1=Heater 1,Q2=Heater 2" '
-            '--outputs "T1=Temperature 1,T2=Temperature 2" --out plant.toml',
-            _write_heater,
-        ),
-        Example(
-            "tank",
-            "a model file to fill in, with a recording to it",
-            ("tank.toml", "tank.csv"),
-            "jaxbound detect tank.toml tank.csv --horizon 15 --out report/",
-            _write_tank,
-        ),
-    )
+    "heater": Example(
+        "a laboratory with two heaters: three healthy recordings, one with a fault",
+        {
+            "healthy_1.csv": "10 minutes at 3 s: heaters Q1, Q2 in %, temperatures T1, T2 in degC",
+            "healthy_2.csv": "the same on another day",
+            "healthy_3.csv": "and another one, kept for the test",
+            "jump.csv": f"healthy_3.csv with {JUMP:g} degC added to T1 from sample {ONSET}, {3 * ONSET} s on",
+            "units.csv": "two units for jaxbound fleet, with the model that jaxbound fit is to write",
+            "truth.toml": "the model that made them, with the bounds within which everything was drawn",
+        },
+        'jaxbound fit healthy_1.csv healthy_2.csv --inputs "Q1=Heater 1,Q2=Heater 2" '
+        '--outputs "T1=Temperature 1,T2=Temperature 2" --out plant.toml',
+        _write_heater,
+    ),
+    "tank": Example(
+        "a model file to fill in, with a recording to it",
+        {
+            "tank.toml": "the commented model file of jaxbound info --template",
+            "tank.csv": "5 minutes at 1 s; the level sensor reads 0.5 m too much from 200 s to 260 s: "
+            "windows of 16 samples show all of it",
+        },
+        "jaxbound detect tank.toml tank.csv --horizon 15 --out report/",
+        _write_tank,
+    ),
 }
 """The examples by their names."""
 

@@ -7,7 +7,7 @@ exact rationals.
 import argparse
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import path
+from jaxbound.cli.options import Options
 from jaxbound.cli.terminal import LOUDNESS, OK, VERBOSE, Refused, door, progress_bars, show, write
 
 NAME = "explain"
@@ -27,35 +27,20 @@ EXAMPLES = (
     ),
 )
 CODES = "exit codes: 0, or 2 bad input"
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options."""
-    parser.add_argument("report", type=path, metavar="DIR", help="folder that jaxbound detect wrote")
-    parser.add_argument(
-        "--at",
-        required=True,
-        metavar="TIME",
-        help="sample at which the window ends: its number, like 60, or its time, like 180s (with the s) or "
-        "2026-03-01T12:00:07",
-    )
-    parser.add_argument(
-        "--all", action="store_true", help="every coefficient, and a row for each sample (-v does the same)"
-    )
-    parser.add_argument(
-        "--faults",
-        type=path,
-        metavar="MODEL.toml",
-        help="weigh the faults that this model file names ([[fault]]); default: those of the tested model, "
-        "or a bias of every sensor and an offset of every actuator",
-    )
-    parser.add_argument(
-        "--cause",
-        action="store_true",
-        help="the faults that alone explain a FAULT window and those that are excluded, nothing else; with "
-        "--json as JSON",
-    )
-    parser.add_argument("--json", action="store_true", help="the certificate as JSON on stdout, nothing else")
+OPTIONS = Options(
+    {
+        "report DIR": "folder that jaxbound detect wrote",
+        "--at TIME": "sample at which the window ends: its number, like 60, or its time, like 180s (with the "
+        "s) or 2026-03-01T12:00:07",
+        "--all": "every coefficient, and a row for each sample (-v does the same)",
+        "--faults MODEL.toml": "weigh the faults that this model file names ([[fault]]); default: those of "
+        "the tested model, or a bias of every sensor and an offset of every actuator",
+        "--cause": "the faults that alone explain a FAULT window and those that are excluded, nothing else; "
+        "with --json as JSON",
+        "--json": "the certificate as JSON on stdout, nothing else",
+    },
+    required=("at",),
+)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -104,5 +89,5 @@ def run(args: argparse.Namespace) -> int:
     if explained.ambiguity:
         rows.insert(0, ("asked for", explained.ambiguity))
     rows.append(("certificate", str(file)))
-    show(headline, "bold", rows, table if is_whole else None, last=True)
+    show(headline, "bold", rows, table if is_whole else (), last=True)
     return OK

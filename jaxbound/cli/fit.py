@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import add_every, add_force, add_json, path
-from jaxbound.cli.recipe_options import add_recipe, recipe_fields, recipe_hints
-from jaxbound.cli.terminal import OK, door, json_text, progress_bars, some_device, write
+from jaxbound.cli.options import FORCE, JSON, Options, every
+from jaxbound.cli.recipe_options import HIDDEN, RECIPE, recipe_fields, recipe_hints
+from jaxbound.cli.terminal import OK, door, progress_bars, some_device
 from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
@@ -30,59 +30,35 @@ CODES = (
     "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM "
     "(nothing is written)"
 )
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options."""
-    parser.add_argument(
-        "data",
-        type=path,
-        nargs="+",
-        metavar="DATA",
-        help="healthy recordings: CSV files, Parquet files or folders",
-    )
-    parser.add_argument(
-        "--inputs",
-        default="",
-        metavar="A,B",
-        help="columns; or name=column, or name=expression like lift=Tsup-Tmix; names with commas or = in "
-        "backticks or double quotes",
-    )
-    parser.add_argument(
-        "--outputs",
-        default="",
-        metavar="C,D",
-        help="as --inputs: what the model is to explain; these and their columns may be left out with a "
-        "--recipe from a model file",
-    )
-    add_recipe(parser)
-    parser.add_argument(
-        "--where",
-        metavar="EXPR",
-        help="condition on columns: samples where it does not hold are no part of the recording",
-    )
-    parser.add_argument(
-        "--time", metavar="COLUMN", help="of the time stamps (default: a column that looks like time)"
-    )
-    parser.add_argument(
-        "--dt", type=decimal, metavar="SECONDS", help="sampling period (default: the median step of the time)"
-    )
-    add_every(parser, "as recorded")
-    parser.add_argument(
-        "--out", type=path, required=True, metavar="MODEL.toml", help="the model file to write"
-    )
-    parser.add_argument("--name", metavar="NAME", help="of the plant (default: that of the model file)")
-    parser.add_argument(
-        "--plot", type=path, metavar="PNG", help="picture: how much of the bounds each window needs"
-    )
-    add_force(parser)
-    add_json(parser)
+OPTIONS = Options(
+    {
+        "data DATA ...": "healthy recordings: CSV files, Parquet files or folders",
+        "--inputs A,B": "columns; or name=column, or name=expression like lift=Tsup-Tmix; names with commas "
+        "or = in backticks or double quotes",
+        "--outputs C,D": "as --inputs: what the model is to explain; these and their columns may be left out "
+        "with a --recipe from a model file",
+        **RECIPE,
+        "--where EXPR": "condition on columns: samples where it does not hold are no part of the recording",
+        "--time COLUMN": "of the time stamps (default: a column that looks like time)",
+        "--dt SECONDS": "sampling period (default: the median step of the time)",
+        **every("as recorded"),
+        "--out MODEL.toml": "the model file to write",
+        "--name NAME": "of the plant (default: that of the model file)",
+        "--plot PNG": "picture: how much of the bounds each window needs",
+        **FORCE,
+        **JSON,
+    },
+    {"dt": decimal},
+    {"inputs": "", "outputs": "", "recipe": "", "direct": None},
+    ("out",),
+    hidden=HIDDEN,
+)
 
 
 def run(args: argparse.Namespace) -> int:
     """Fit a model to recordings, write and describe it; return the exit code."""
     with swift_imports():
-        from jaxbound.cli.fit_summary import plain_fit, show_fit
+        from jaxbound.cli.fit_summary import FitConclusion
         from jaxbound.files.whole import whole
         from jaxbound.models.modelfile import model_text
         from jaxbound.plots.canvas import to_png
@@ -125,14 +101,8 @@ def run(args: argparse.Namespace) -> int:
             with whole(args.plot) as f:
                 f.write(to_png(plot_fit(model)))
     hints = [*_hints(args.data, recordings), *recipe_hints(args)]
-    if args.json:
-        summary = plain_fit(model, args.data, args.out, hints)
-        write(json_text(summary))
-    else:
-        files = [str(args.out)]
-        if args.plot:
-            files.append(str(args.plot))
-        show_fit(model, args.data, files, hints)
+    written = list(filter(None, (args.out, args.plot)))
+    FitConclusion(model, args.data, written=written, hints=hints).show(args.json)
     return OK
 
 

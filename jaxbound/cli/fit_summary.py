@@ -2,24 +2,29 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, SupportsFloat
 
 import numpy as np
 
 from jaxbound.cli.names import parted, unquoted
-from jaxbound.cli.terminal import show
+from jaxbound.cli.terminal import Conclusion, Row, Table
 from jaxbound.cli.tradeoff_table import disturbance_rows
 from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import CLOCK, expression
-from jaxbound.studies.identification.advice import blind
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.signal_choice import GIVEN
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, best_test
 from jaxbound.text.units import without_unit
 
-__all__ = ["named_units", "plain_fit", "promise", "show_fit", "signal_columns"]
+__all__ = ["FitConclusion", "named_units", "promise", "signal_columns"]
 
+CHECKED = (
+    "order delay method smallest safety factor left_out held_out signals smallest_mean tradeoff jump steady "
+    "hidden"
+).split()
+"""Fields of a `FitCheck` that JSON has as they are."""
 Signal = str | tuple[str, str]  # a column of that name, or (name, column)
 MEMORY = 1.5  # times the window that a plant must remember before longer windows are spoken of
 SHOWN = 4
@@ -97,48 +102,91 @@ def _column_entry(text: str) -> str:
     return f"= {text}"
 
 
-def plain_fit(
-    model: Fitted,
-    files: Sequence[Path],
-    out: Path,
-    hints: Sequence[str],
-) -> dict[str, Any]:
-    """Return the summary of a model fitted to files, as JSON has it."""
-    check = model.check
-    recordings = []
-    for file, numbers in zip(files, check.recordings, strict=True):
-        recordings.append({"data": str(file)} | numbers)
-    return {
-        "out": str(out),
-        "order": check.order,
-        "delay": check.delay,
-        "horizon": model.horizon,
-        "states": model.n,
-        "dt": model.dt,
-        "method": check.method,
-        "noise": _by_output(model, model.noise),
-        "resolution": _by_output(model, model.resolution),
-        "smallest": check.smallest,
-        "safety": check.safety,
-        "factor": check.factor,
-        "left_out": check.left_out,
-        "held_out": check.held_out,
-        "follow": check.follows,
-        "average": _average(check),
-        "inputs": list(model.inputs),
-        "signals": check.signals,
-        "tests": [_plain_test(test, model) for test in check.tests],
-        "means": {a.signal: float(a.bound) for a in model.averages},
-        "smallest_mean": check.smallest_mean,
-        "disturbance": [float(high) for _, high in model.disturbance],
-        "tradeoff": check.tradeoff,
-        "recordings": recordings,
-        "jump": check.jump,
-        "steady": check.steady,
-        "hidden": check.hidden,
-        "warnings": list(check.sentences),
-        "hints": list(hints),
-    }
+@dataclass(frozen=True)
+class FitConclusion(Conclusion):
+    """The conclusion of a fit. Fields: model. files: the recordings that it was fitted to."""
+
+    model: Fitted
+    files: Sequence[Path]
+
+    @property
+    def headline(self) -> str:
+        """The name of the model, and to how many recordings it was fitted."""
+        count = len(self.model.check.recordings)
+        return f"{self.model.name}: fitted to {count} recording{'s' * (count > 1)}"
+
+    def plain(self) -> dict[str, Any]:
+        """Return the knowledge of the fit beside that of its model."""
+        model, check = self.model, self.model.check
+        recordings = []
+        for file, numbers in zip(self.files, check.recordings, strict=True):
+            recordings.append({"data": str(file)} | numbers)
+        return {
+            "out": str(self.written[0]),
+            "horizon": model.horizon,
+            "states": model.n,
+            "dt": model.dt,
+            "noise": _by_output(model, model.noise),
+            "resolution": _by_output(model, model.resolution),
+            **{name: getattr(check, name) for name in CHECKED},
+            "follow": check.follows,
+            "average": _average(check),
+            "inputs": model.inputs,
+            "tests": [_plain_test(test, model) for test in check.tests],
+            "means": {a.signal: float(a.bound) for a in model.averages},
+            "disturbance": [float(high) for _, high in model.disturbance],
+            "recordings": recordings,
+            "warnings": check.sentences,
+            "hints": self.hints,
+        }
+
+    def rows(self) -> list[Row]:
+        """Return the fit, what was tried beside it, and what its bounds promise."""
+        model, check, late = self.model, self.model.check, ""
+        if check.delay > 1:
+            late = f", a delay of {check.delay} samples"
+        rows = [("caution", sentence) for sentence in check.sentences]
+        how = f"{model.n} states, order {check.order}{late}, coefficients by {check.method}"
+        rows += [("model", how), _tested(model)]
+        what = "sample" if model.horizon is None else "window"
+        for file, numbers in zip(self.files, check.recordings, strict=True):
+            rows.append((str(file), _recording_text(numbers, what)))
+        rows += _tried_signals(model)
+        rows += _tried_tests(model)
+        rows += _left_out(check, self.files)
+        rows += _follows(check)
+        rows += disturbance_rows(model)
+        if not check.tests:  # else lags were tried
+            rows += _memory(model)
+        rows.append(("safety", f"{check.safety:g} times these bounds"))
+        means = []
+        for a in model.averages:
+            means.append(f"{a.text} within {float(a.bound):.4g} {model.unit(a.signal)}".rstrip())
+        if means:
+            rows.append(("averages", ", ".join(means)))
+        rounded = []
+        for name, r in zip(model.outputs, model.resolution, strict=True):
+            if r:
+                rounded.append(f"{float(r):.6g} of {name}")
+        if rounded:
+            part = "that much of the bound is what the recorder rounds away"
+            rows.append(("resolution", f"{', '.join(rounded)}: {part}"))
+        return rows
+
+    def table(self) -> Table:
+        """Return the bounds of each output, and the errors that are always seen with them."""
+        model, check = self.model, self.model.check
+        seen = ["jump always seen", "steady error always seen"]
+        if not check.steady:
+            seen = ["lasting jump always seen"]
+        if check.hidden:
+            seen = ["lasting jump: noise may hide", "always seen, by zonotopes alone"]
+        table = [["output", "smallest bound", "written", *seen]]
+        sizes = list(filter(None, (check.hidden, check.jump, check.steady)))
+        for name, noise, resolution in zip(model.outputs, model.noise, model.resolution, strict=True):
+            bounds = f"{check.smallest[name]:.4g}", f"{float(noise + resolution):.4g}"
+            table.append([name, *bounds, *(_size(model, each, name) for each in sizes)])
+        return table
 
 
 def _average(check: FitCheck) -> int | None:
@@ -161,7 +209,7 @@ def _plain_test(test: JudgedTest, model: Fitted) -> dict[str, Any]:
     return fields | {"chosen": _is_taken(test, model)}
 
 
-def _tried_signals(model: Fitted) -> list[tuple[str, str]]:
+def _tried_signals(model: Fitted) -> list[Row]:
     """Return a line on each set of inputs that was taken, and on the best few of the others."""
     tried = model.check.signals
     if not tried:
@@ -181,7 +229,7 @@ def _tried_signals(model: Fitted) -> list[tuple[str, str]]:
     return rows
 
 
-def _tried_tests(model: Fitted) -> list[tuple[str, str]]:
+def _tried_tests(model: Fitted) -> list[Row]:
     """Return a line on each test that was tried: the factor it needs, and what it then sees."""
     rows = []
     for test in model.check.tests:
@@ -200,69 +248,6 @@ def _by_output(model: Fitted, bounds: Iterable[SupportsFloat]) -> dict[str, floa
     return dict(zip(model.outputs, map(float, bounds), strict=True))
 
 
-def show_fit(
-    model: Fitted,
-    files: Sequence[Path],
-    written: Sequence[str],
-    hints: Sequence[str],
-) -> None:
-    """Print a model that was fitted to files. written: names of new files."""
-    check, late = model.check, ""
-    if check.delay > 1:
-        late = f", a delay of {check.delay} samples"
-    sightless = blind(model, check)
-    rows = [("caution", sentence) for sentence in sightless]
-    rows += [
-        ("model", f"{model.n} states, order {check.order}{late}, coefficients by {check.method}"),
-        _tested(model),
-    ]
-    what = "sample" if model.horizon is None else "window"
-    for file, numbers in zip(files, check.recordings, strict=True):
-        rows.append((str(file), _recording_text(numbers, what)))
-    rows += _tried_signals(model)
-    rows += _tried_tests(model)
-    rows += _left_out(check, files)
-    rows += _follows(check)
-    rows += disturbance_rows(model)
-    if not check.tests:  # else lags were tried
-        rows += _memory(model)
-    rows.append(("safety", f"{check.safety:g} times these bounds"))
-    means = []
-    for a in model.averages:
-        means.append(f"{a.text} within {float(a.bound):.4g} {model.unit(a.signal)}".rstrip())
-    if means:
-        rows.append(("averages", ", ".join(means)))
-    rounded = []
-    for name, r in zip(model.outputs, model.resolution, strict=True):
-        if r:
-            rounded.append(f"{float(r):.6g} of {name}")
-    if rounded:
-        part = "that much of the bound is what the recorder rounds away"
-        rows.append(("resolution", f"{', '.join(rounded)}: {part}"))
-    rows.append(("written", " and ".join(written)))
-    rows += [("caution", sentence) for sentence in check.sentences if sentence not in sightless]
-    rows += [("hint", hint) for hint in hints]
-    several = "s" if len(check.recordings) > 1 else ""
-    headline = f"{model.name}: fitted to {len(check.recordings)} recording{several}"
-    show(headline, "bold", rows, table=_bounds_table(model))
-
-
-def _bounds_table(model: Fitted) -> list[tuple[str, ...]]:
-    """Return the bounds of each output, and the errors that are always seen with them."""
-    check = model.check
-    table: list[tuple[str, ...]]
-    table = [("output", "smallest bound", "written", "jump always seen", "steady error always seen")]
-    if not check.steady:
-        table = [("output", "smallest bound", "written", "lasting jump always seen")]
-    if check.hidden:
-        seen = "lasting jump: noise may hide", "always seen, by zonotopes alone"
-        table = [("output", "smallest bound", "written", *seen)]
-    for name, noise, resolution in zip(model.outputs, model.noise, model.resolution, strict=True):
-        sizes = [_size(model, each, name) for each in (check.hidden, check.jump, check.steady) if each]
-        table.append((name, f"{check.smallest[name]:.4g}", f"{float(noise + resolution):.4g}", *sizes))
-    return table
-
-
 def _each_size(model: Fitted, sizes: Mapping[str, float]) -> str:
     parts = []
     for name in model.outputs:
@@ -276,7 +261,7 @@ def _size(model: Fitted, sizes: Mapping[str, float], name: str) -> str:
     return f"{sizes[name]:.3g} {model.unit(name)}".rstrip()
 
 
-def _tested(model: Fitted) -> tuple[str, str]:
+def _tested(model: Fitted) -> Row:
     """Return the line on the test that the bounds are for."""
     apart = f"{model.dt:g} s apart"
     if model.horizon is None:
@@ -295,7 +280,7 @@ def _recording_text(numbers: Mapping[str, float], what: str) -> str:
     return f"{numbers['windows']} {what}s, {100 * numbers['used']:.3g} % of the bounds used"
 
 
-def _left_out(check: FitCheck, files: Sequence[Path]) -> list[tuple[str, str]]:
+def _left_out(check: FitCheck, files: Sequence[Path]) -> list[Row]:
     """Return lines on each recording, or block, that was left out, and on what that promises."""
     if not check.left_out:
         return [("left out", "nothing")]
@@ -314,7 +299,7 @@ def _left_out(check: FitCheck, files: Sequence[Path]) -> list[tuple[str, str]]:
     return [*lines, ("promise", promise(check.factor, count))]
 
 
-def _follows(check: FitCheck) -> list[tuple[str, str]]:
+def _follows(check: FitCheck) -> list[Row]:
     """Return a line on bounds that follow the operating point."""
     weight, mean, most = check.follows
     if not weight:
@@ -334,7 +319,7 @@ def promise(factor: float, count: int) -> str:
     return f"{text}; of recordings like them one in {count + 1} may still ask for more"
 
 
-def _memory(model: Fitted) -> list[tuple[str, str]]:
+def _memory(model: Fitted) -> list[Row]:
     """Return a line on lags where the plant remembers longer than its windows: they may see smaller lasting
     errors.
     """

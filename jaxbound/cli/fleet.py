@@ -5,19 +5,19 @@ from functools import partial
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import (
+    ALARM,
+    ENGINE,
+    JSON,
+    MARGINS_KIND,
     METHODS,
     OBSERVER,
+    OUTSIDE_WORD,
+    SET_OBSERVER,
+    WINDOW,
     MethodOptions,
-    add_alarm,
-    add_engine,
-    add_json,
-    add_margins,
-    add_method,
-    add_observer,
-    add_outside,
-    add_windows,
+    Options,
     alarm_rule,
-    path,
+    method,
     refuse_unknown_method,
 )
 from jaxbound.cli.terminal import door, progress_bars, usable_device
@@ -36,39 +36,24 @@ CODES = (
     "fitted to shorter windows, 0 no fault; 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by "
     "SIGTERM (what was tested is written)"
 )
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options."""
-    parser.add_argument(
-        "manifest",
-        type=path,
-        metavar="MANIFEST",
-        help="CSV or TOML with a unit, a model and a recording in each row; a column acknowledged names the "
-        "unit's own file of --acknowledged",
-    )
-    parser.add_argument(
-        "--out",
-        type=path,
-        required=True,
-        metavar="DIR",
-        help="folder for fleet.csv and its page, worst units first",
-    )
-    parser.add_argument(
-        "--state",
-        type=path,
-        metavar="DIR",
-        help="folder in which it is kept how each unit goes on: its next recording, in a later run, is "
-        "judged as if it followed in one file",
-    )
-    add_engine(parser)
-    add_method(parser, "; observer carries everything since it began on")
-    add_windows(parser)
-    add_margins(parser)
-    add_outside(parser)
-    add_alarm(parser)
-    add_json(parser)
-    add_observer(parser)
+OPTIONS = Options(
+    {
+        "manifest MANIFEST": "CSV or TOML with a unit, a model and a recording in each row; a column "
+        "acknowledged names the unit's own file of --acknowledged",
+        "--out DIR": "folder for fleet.csv and its page, worst units first",
+        "--state DIR": "folder in which it is kept how each unit goes on: its next recording, in a later "
+        "run, is judged as if it followed in one file",
+        **ENGINE,
+        **method("; observer carries everything since it began on"),
+        **WINDOW,
+        **MARGINS_KIND,
+        **OUTSIDE_WORD,
+        **ALARM,
+        **JSON,
+        **SET_OBSERVER,
+    },
+    required=("out",),
+)
 
 
 def run(args: argparse.Namespace) -> int:

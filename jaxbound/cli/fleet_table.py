@@ -4,15 +4,17 @@ import csv
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jaxbound.cli.terminal import json_text, show, write
+from jaxbound.cli.terminal import Conclusion, Row, Table
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result
 from jaxbound.recordings.recording import Recording
 from jaxbound.reports.detection import write_report
 from jaxbound.reports.fleet import fleet_page
+from jaxbound.reports.monitored import ORDER
 from jaxbound.runs.fleet import Unit, UnitResult, fleet_verdict, worst_first
 from jaxbound.runs.summary import LAYOUT, OUTSIDE, Summary
 from jaxbound.text.characters import cell
@@ -31,28 +33,6 @@ COLOUR = {
 }
 PAGES = 100  # faulty units that get a page of their own
 SHOWN = 10  # units in the table on the terminal
-FIELDS = (
-    "unit",
-    "verdict",
-    "margin",
-    "factor",
-    "FAULT",
-    "CONSISTENT",
-    "UNDECIDED",
-    "MISSING",
-    "decided",
-    "alarms",
-    "first_alarm",
-    "worst",
-    "sentence",
-    "hints",
-    "model",
-    "recording",
-    "ended",
-    "outside",
-    "FAULT_outside",
-    "outside_by",
-)
 
 
 def write_fleet(directory: str | Path, results: Sequence[UnitResult], title: str = "fleet") -> None:
@@ -66,10 +46,10 @@ def write_fleet(directory: str | Path, results: Sequence[UnitResult], title: str
     file = directory / "fleet.csv"
     with open(file, "w", newline="", encoding="utf-8", errors="backslashreplace") as f:
         table = csv.writer(f, lineterminator="\n")
-        table.writerow(FIELDS)
-        for result in ordered:
-            cells = _cells(result)
-            table.writerow([cells[name] for name in FIELDS])
+        for number, cells in enumerate(map(_cells, ordered)):
+            if not number:
+                table.writerow(cells)
+            table.writerow(cells.values())
     page = fleet_page(ordered, fleet_verdict(results), title)
     (directory / "fleet.html").write_text(page, encoding="utf-8")
 
@@ -82,7 +62,7 @@ def _cells(result: UnitResult) -> dict[str, object]:
         "verdict": result.verdict,
         "margin": _number_cell(result.margin),
         "factor": _number_cell(1 - result.margin),
-        **summary.counts,
+        **{name: summary.counts[name] for name in ORDER},
         "decided": _number_cell(summary.decided),
         "alarms": summary.alarms,
         "first_alarm": cell(summary.first_alarm),
@@ -143,35 +123,55 @@ class UnitPages:
         number = self.numbers.setdefault(unit.name, len(self.numbers) + 1)
         (self.work / UNITS).mkdir(exist_ok=True)
         name = f"{number}-{re.sub(r'[^A-Za-z0-9._-]+', '_', unit.name)[:60]}.html"
-        write_report(self.work / UNITS, res, recording, alarms, summary, file=name)
+        write_report(self.work / UNITS / name, res, recording, alarms, summary)
         return f"{UNITS}/{name}"
 
 
-def conclude_fleet(results: Sequence[UnitResult], out: Path, as_json: bool) -> int:
-    """Print the conclusion of a fleet; return the exit code."""
-    verdict, code, sentence = fleet_verdict(results)
-    ordered = worst_first(results)
-    if as_json:
-        plain = {
+@dataclass(frozen=True)
+class FleetConclusion(Conclusion):
+    """The conclusion of a fleet. Fields: results: the worst first. verdict: of all. out: its folder."""
+
+    results: Sequence[UnitResult]
+    verdict: tuple[str, int, str]
+    out: Path
+
+    @property
+    def headline(self) -> str:
+        """The sentence of the verdict."""
+        return self.verdict[2]
+
+    def table(self) -> Table:
+        """Return the worst units."""
+        head = ("unit", "verdict", "margin", "FAULT", "outside", "decided", "first alarm", "the last alarm")
+        return [head, *map(_shown_row, self.results[:SHOWN])]
+
+    def rows(self) -> list[Row]:
+        """Return why units were not tested, and where all units are."""
+        untested = [result for result in self.results if result.verdict == "not tested"]
+        rows = [("not tested", f"{r.unit.name}: {r.summary.sentence}") for r in untested[:SHOWN]]
+        if len(self.results) > SHOWN:
+            rows.append(("", f"and {len(self.results) - SHOWN} more units"))
+        return [*rows, ("table", str(self.out / "fleet.csv")), ("page", str(self.out / "fleet.html"))]
+
+    def plain(self) -> dict[str, Any]:
+        """Return all units."""
+        verdict, code, sentence = self.verdict
+        units = list(map(_plain, self.results))
+        return {
             "layout": LAYOUT,
             "verdict": verdict,
             "exit_code": code,
             "summary": sentence,
-            "units": list(map(_plain, ordered)),
-            "out": str(out),
+            "units": units,
+            "out": str(self.out),
         }
-        write(json_text(plain, 2))
-        return code
-    table: list[tuple[str, ...]]
-    table = [("unit", "verdict", "margin", "FAULT", "outside", "decided", "first alarm", "the last alarm")]
-    table += [_shown_row(result) for result in ordered[:SHOWN]]
-    untested = [result for result in ordered if result.verdict == "not tested"]
-    rows = [("not tested", f"{r.unit.name}: {r.summary.sentence}") for r in untested[:SHOWN]]
-    if len(ordered) > SHOWN:
-        rows.append(("", f"and {len(ordered) - SHOWN} more units"))
-    rows += [("table", str(out / "fleet.csv")), ("page", str(out / "fleet.html"))]
-    show(sentence, COLOUR[verdict], rows, table)
-    return code
+
+
+def conclude_fleet(results: Sequence[UnitResult], out: Path, as_json: bool) -> int:
+    """Print the conclusion of a fleet; return the exit code."""
+    verdict = fleet_verdict(results)
+    FleetConclusion(worst_first(results), verdict, out, style=COLOUR[verdict[0]]).show(as_json)
+    return verdict[1]
 
 
 def _shown_row(result: UnitResult) -> tuple[str, ...]:

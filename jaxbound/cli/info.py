@@ -4,7 +4,7 @@ import argparse
 import os
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import MethodOptions, add_windows, path
+from jaxbound.cli.options import WINDOW, MethodOptions, Options
 from jaxbound.cli.terminal import OK, Refused, door, json_text, progress_bars, some_device, write
 
 NAME = "info"
@@ -20,23 +20,23 @@ EXAMPLES = (
 )
 CODES = "exit codes: 0, or 2 bad input; --device: 1 where a device may not prove"
 BROKEN = 1
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options."""
-    parser.add_argument("model", type=path, nargs="?", metavar="MODEL.toml", help="the model file to show")
-    parser.add_argument("--template", action="store_true", help="print a commented model file")
-    device = "examine the devices that JAX can use, so that they may prove (JAX_PLATFORMS chooses)"
-    parser.add_argument("--device", action="store_true", help=device)
-    add_windows(parser)
-    parser.add_argument("--json", action="store_true", help="the same as JSON on stdout, nothing else")
+OPTIONS = Options(
+    {
+        "model [MODEL.toml]": "the model file to show",
+        "--template": "print a commented model file",
+        "--device": "examine the devices that JAX can use, so that they may prove (JAX_PLATFORMS chooses)",
+        **WINDOW,
+        "--json": "the same as JSON on stdout, nothing else",
+    }
+)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the template, or describe a model; return the exit code."""
     with swift_imports():
-        from jaxbound.cli.model_summary import plain_model, show_model
+        from jaxbound.cli.model_summary import ModelConclusion
         from jaxbound.cli.window import parity_windows
+        from jaxbound.diagnosis.hints import bound_hints
         from jaxbound.diagnosis.monitoring import monitor
         from jaxbound.models.modelfile import load_model
         from jaxbound.models.template import template
@@ -57,10 +57,7 @@ def run(args: argparse.Namespace) -> int:
         if is_monitored(model, "joint", args.horizon, args.lags):
             bank = monitor(model)
         model, relations = parity_windows(model, MethodOptions.of(args), args.model, None, step)
-    if args.json:
-        write(json_text(plain_model(model, relations, bank), ensure_ascii=False))
-        return OK
-    show_model(model, relations, bank)
+    ModelConclusion(model, relations, bank, hints=bound_hints(model)).show(args.json)
     return OK
 
 

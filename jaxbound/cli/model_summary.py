@@ -2,26 +2,26 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from jaxbound.cli.terminal import show
+from jaxbound.cli.terminal import Conclusion, Row
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.detectability import GuaranteedSize, detectable
-from jaxbound.diagnosis.hints import bound_hints
 from jaxbound.diagnosis.isolability import FaultIsolability, isolability
 from jaxbound.models.statedtests import StatedTest
 from jaxbound.models.system import LinearSystem
-from jaxbound.plots.residuals import distinct_relations
 from jaxbound.relations.cost import elimination_seconds, relation_cost
 from jaxbound.relations.decoupling import signatures, structured_relations
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.redundancy import redundancy
 from jaxbound.relations.sentence import main_terms
 from jaxbound.relations.uncertain import UncertainRelations
+from jaxbound.reports.parts import distinct_relations
 from jaxbound.text.quantities import rough_duration
 
-__all__ = ["isolation_text", "plain_model", "show_model"]
+__all__ = ["ModelConclusion", "isolation_text"]
 
 SENSOR_BOUNDS = ("tolerance", "noise", "resolution")
 SIGNALS = 12
@@ -32,44 +32,96 @@ PATIENCE = 60.0
 """Seconds, roughly, beyond which tables are left to whoever asks for them."""
 
 
-def show_model(
-    model: LinearSystem,
-    relations: ParityRelation | UncertainRelations,
-    bank: MonitorBank | None = None,
-) -> None:
-    """Print a model, its relations, and the faults that they see and tell apart.
+@dataclass(frozen=True)
+class ModelConclusion(Conclusion):
+    """A model file in words: its contents, its relations, and the faults that they see and tell apart.
 
-    Args:
-        bank: the monitor of its tests; None: it states none, or other windows are asked for.
+    Fields: model, relations: of its windows. bank: the monitor of its tests; None: it states none, or other
+        windows are asked for.
     """
-    rows = [
-        ("states", f"{model.n}: {', '.join(model.states)}"),
-        ("inputs", f"{model.m}: {_signals_text(model, model.inputs)}"),
-        ("outputs", f"{model.p}: {_signals_text(model, model.outputs)}"),
-        ("dt", f"{model.dt:g} s"),
-        ("matrices", f"{_matrices_text(model)}   {_origin(model, 'model')}"),
-        *_bounds_rows(model),
-        ("offset", _nonzero_text(model.inputs + model.outputs, model.offset["u"] + model.offset["y"])),
-    ]
-    for name, column in model.columns.items():
-        is_signal = name in model.inputs + model.outputs
-        rows.append((f"column of {name}" if is_signal else name, column))
-    rows += _relations_rows(relations)
-    for test in model.tests:
-        rows.append((f"test {test.name}", _test_text(test)))
-    rows += [("hint", hint) for hint in bound_hints(model)]
-    distinct = distinct_relations(relations)
-    if len(distinct) < relations.count:
-        rows.append(("", f"the {len(distinct)} below and the same some samples earlier"))
-    lines = relations.text().splitlines()
-    text = "\n".join(main_terms(lines[j]) for j in distinct)
-    if not model.uncertainties:
-        text += f"\n\n{isolation_text(model, relations.horizon, relations.lags)}"
-    if model.faults:
-        text += f"\n\n{_named_text(model, relations)}"
-    if bank is not None:
-        text += f"\n\n{_sizes_by_tests(bank)}"
-    show(model.name, "bold", rows, text=text)
+
+    model: LinearSystem
+    relations: ParityRelation | UncertainRelations
+    bank: MonitorBank | None = None
+
+    @property
+    def headline(self) -> str:
+        """The name of the model."""
+        return self.model.name
+
+    def rows(self) -> list[Row]:
+        """Return the contents of the file."""
+        model, relations = self.model, self.relations
+        offsets = model.offset["u"] + model.offset["y"]
+        rows = [
+            ("states", f"{model.n}: {', '.join(model.states)}"),
+            ("inputs", f"{model.m}: {_signals_text(model, model.inputs)}"),
+            ("outputs", f"{model.p}: {_signals_text(model, model.outputs)}"),
+            ("dt", f"{model.dt:g} s"),
+            ("matrices", f"{_matrices_text(model)}   {_origin(model, 'model')}"),
+            *_bounds_rows(model),
+            ("offset", _nonzero_text(model.inputs + model.outputs, offsets)),
+        ]
+        for name, column in model.columns.items():
+            is_signal = name in model.inputs + model.outputs
+            rows.append((f"column of {name}" if is_signal else name, column))
+        rows += _relations_rows(relations)
+        for test in model.tests:
+            rows.append((f"test {test.name}", _test_text(test)))
+        distinct = len(distinct_relations(relations))
+        if distinct < relations.count:
+            rows.append(("", f"the {distinct} below and the same some samples earlier"))
+        return rows
+
+    def text(self) -> str:
+        """Return the relations, and what they see and tell apart."""
+        model, relations = self.model, self.relations
+        lines = relations.text().splitlines()
+        paragraphs = ["\n".join(main_terms(lines[j]) for j in distinct_relations(relations))]
+        if not model.uncertainties:
+            paragraphs.append(isolation_text(model, relations.horizon, relations.lags))
+        if model.faults:
+            paragraphs.append(_named_text(model, relations))
+        if self.bank is not None:
+            paragraphs.append(_sizes_by_tests(self.bank))
+        return "\n\n".join(paragraphs)
+
+    def plain(self) -> dict[str, Any]:
+        """Return a model, its relations and the sizes that are guaranteed."""
+        model, relations, bank = self.model, self.relations, self.bank
+        parameters = []
+        for parameter in model.uncertainties:
+            low, high = map(float, parameter.between)
+            parameters.append({"name": parameter.name, "between": [low, high], "varying": parameter.varying})
+        plain: dict[str, Any] = {
+            "name": model.name,
+            "dt": model.dt,
+            "horizon": relations.horizon,
+            "states": list(model.states),
+            "inputs": [_plain_signal(model, "u", i, name) for i, name in enumerate(model.inputs)],
+            "outputs": [_plain_signal(model, "y", i, name) for i, name in enumerate(model.outputs)],
+            "unknown_inputs": model.d,
+            "disturbances": [[float(x) for x in ends] for ends in model.disturbance],
+            "parameters": parameters,
+            "provenance": dict(model.provenance),
+            "times": dict(model.times),
+            "tests": {test.name: _test_text(test) for test in model.tests},
+            "relations": relations.text().splitlines(),
+            "notes": list(relations.notes),
+            "hints": self.hints,
+        }
+        is_known = not model.uncertainties and not any(model.tolerance) and not model.factors
+        if is_known and _seconds(model, relations.horizon) <= PATIENCE:
+            sizes = _guaranteed(model, relations.horizon, relations.lags)
+            plain["guaranteed"] = sizes
+        if model.faults:
+            apart = _named(model, relations)
+            plain["named_faults"] = None
+            if not isinstance(apart, str):
+                plain["named_faults"] = apart.to_dict()
+        if bank is not None:
+            plain["guaranteed_by_tests"] = _plain_by_tests(bank)
+        return plain
 
 
 def _named(model: LinearSystem, relations: ParityRelation | UncertainRelations) -> FaultIsolability | str:
@@ -145,7 +197,7 @@ def _matrices_text(model: LinearSystem) -> str:
     return f"A {model.n}x{model.n}, B {model.n}x{model.m}, C {model.p}x{model.n}, D {direct}"
 
 
-def _bounds_rows(model: LinearSystem) -> list[tuple[str, str]]:
+def _bounds_rows(model: LinearSystem) -> list[Row]:
     """Return a row for each kind of bound."""
     rows = []
     for kind in SENSOR_BOUNDS:
@@ -185,7 +237,7 @@ def _origin(model: LinearSystem, field: str) -> str:
     return "(origin not stated)"
 
 
-def _relations_rows(relations: ParityRelation | UncertainRelations) -> list[tuple[str, str]]:
+def _relations_rows(relations: ParityRelation | UncertainRelations) -> list[Row]:
     """Return rows on the windows and on how many relations are tested."""
     s = relations.horizon
     rows = [("horizon", f"{s}: a window has {s + 1} samples")]
@@ -196,49 +248,6 @@ def _relations_rows(relations: ParityRelation | UncertainRelations) -> list[tupl
     rows.append(("relations", f"{relations.count} independent, {relations.tested}"))
     rows += [("note", note) for note in relations.notes]
     return rows
-
-
-def plain_model(
-    model: LinearSystem,
-    relations: ParityRelation | UncertainRelations,
-    bank: MonitorBank | None = None,
-) -> dict[str, Any]:
-    """Return a model, its relations and the sizes that are guaranteed, as JSON has them; bank: as of
-    `show_model`.
-    """
-    parameters = []
-    for parameter in model.uncertainties:
-        low, high = map(float, parameter.between)
-        parameters.append({"name": parameter.name, "between": [low, high], "varying": parameter.varying})
-    plain: dict[str, Any] = {
-        "name": model.name,
-        "dt": model.dt,
-        "horizon": relations.horizon,
-        "states": list(model.states),
-        "inputs": [_plain_signal(model, "u", i, name) for i, name in enumerate(model.inputs)],
-        "outputs": [_plain_signal(model, "y", i, name) for i, name in enumerate(model.outputs)],
-        "unknown_inputs": model.d,
-        "disturbances": [[float(x) for x in ends] for ends in model.disturbance],
-        "parameters": parameters,
-        "provenance": dict(model.provenance),
-        "times": dict(model.times),
-        "tests": {test.name: _test_text(test) for test in model.tests},
-        "relations": relations.text().splitlines(),
-        "notes": list(relations.notes),
-        "hints": bound_hints(model),
-    }
-    is_known = not model.uncertainties and not any(model.tolerance) and not model.factors
-    if is_known and _seconds(model, relations.horizon) <= PATIENCE:
-        sizes = _guaranteed(model, relations.horizon, relations.lags)
-        plain["guaranteed"] = sizes
-    if model.faults:
-        apart = _named(model, relations)
-        plain["named_faults"] = None
-        if not isinstance(apart, str):
-            plain["named_faults"] = apart.to_dict()
-    if bank is not None:
-        plain["guaranteed_by_tests"] = _plain_by_tests(bank)
-    return plain
 
 
 def _plain_by_tests(bank: MonitorBank) -> dict[str, Any]:

@@ -1,12 +1,12 @@
 """The options that several commands share, and the values that they are read as.
 
-A command calls the functions here for its parser. They import nothing heavy, neither jax nor NumPy, because
+A command declares its own beside these. They import nothing heavy, neither jax nor NumPy, because
 help and completion are to be there at once.
 """
 
 import argparse
 from argparse import ArgumentTypeError
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,27 +19,28 @@ if TYPE_CHECKING:
     from jaxbound.diagnosis.alarmrule import AlarmRule
 
 __all__ = [
+    "ALARM",
+    "ENGINE",
+    "FORCE",
+    "JSON",
     "MARGINS",
+    "MARGINS_KIND",
     "METHODS",
     "OBSERVER",
     "OUTSIDE",
+    "OUTSIDE_WORD",
+    "SET_OBSERVER",
+    "WINDOW",
     "WINDOWS",
     "MethodOptions",
-    "add_alarm",
-    "add_engine",
-    "add_every",
-    "add_force",
-    "add_json",
+    "Options",
     "add_loudness",
-    "add_margins",
-    "add_method",
-    "add_observer",
-    "add_outside",
-    "add_windows",
     "alarm_rule",
     "apart",
+    "every",
     "interval",
     "lags",
+    "method",
     "method_name",
     "named",
     "observer_name",
@@ -104,9 +105,9 @@ class MethodOptions:
     Fields:
         method: one of METHODS, "observer", or, for a command that has it, "validation".
         horizon, lags: the windows; None: those of the model.
-        order, latched, observer: of an observer, see `add_observer`.
-        margins: one of MARGINS, see `add_margins`. outside: one of OUTSIDE, see `add_outside`.
-        every: see `add_every`; None: that of the model.
+        order, latched, observer: of an observer, see `SET_OBSERVER`.
+        margins: one of MARGINS, see `MARGINS_KIND`. outside: one of OUTSIDE, see `OUTSIDE_WORD`.
+        every: see `every`; None: that of the model.
         settings: {field: value} of the observer's own options, see `estimation.methods.ShellOption`.
     """
 
@@ -189,190 +190,136 @@ class MethodOptions:
             raise ValueError(f"{flag} is for --method {OBSERVER}")
 
 
-def add_method(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Add --method of a command that tests recordings. more: the end of its help."""
-    about = f"{METHODS} (default: windows, all their relations together){more}"
-    parser.add_argument("--method", type=method_name, default=WINDOWS[1], metavar="METHOD", help=about)
+@dataclass(frozen=True)
+class Options:
+    """The options of a command, declared once.
+
+    Fields:
+        help: {usage: its help}, in the order of the help. A usage is "--out DIR", "--json", or of an argument
+            without dashes its name and how it is shown: "data DATA"; "..." behind it takes several, brackets
+            around it none or one. A metavar of PATHS is a path.
+        readers: {name: reader of its text} of the others that are no texts. defaults: {name: value}, else
+            None, or False of a switch. required: names. choices: {name: the values that there are}.
+        hidden: names of options of text that help does not show.
+    """
+
+    help: Mapping[str, str]
+    readers: dict[str, Callable[[str], object]] = field(default_factory=dict)
+    defaults: dict[str, object] = field(default_factory=dict)
+    required: Sequence[str] = ()
+    choices: dict[str, Sequence[str]] = field(default_factory=dict)
+    hidden: Sequence[str] = ()
+
+    def add_to(self, parser: argparse.ArgumentParser) -> None:
+        """Add the options to a parser."""
+        apart: dict[tuple[str, ...], Any] = {}
+        for usage, about in self.help.items():
+            flag, _, metavar = usage.partition(" ")
+            name = flag.strip("-").replace("-", "_")
+            place: Any = parser
+            for names in APART:
+                if name in names:
+                    place = apart[names] = apart.get(names) or parser.add_mutually_exclusive_group()
+            place.add_argument(flag, help=about, **self._keywords(name, metavar))
+        for name in self.hidden:
+            parser.add_argument(f"--{name.replace('_', '-')}", help=argparse.SUPPRESS)
+
+    def _keywords(self, name: str, metavar: str) -> dict[str, Any]:
+        """Return the keywords of `add_argument` beside the help."""
+        if not metavar:
+            return {"action": "store_true", "default": self.defaults.get(name, False)}
+        shown = metavar.removesuffix(" ...").strip("[]")
+        keywords: dict[str, Any] = {"metavar": shown}
+        if shown.endswith(PATHS):
+            keywords["type"] = path
+        if metavar.endswith("..."):
+            keywords["nargs"] = "+"
+        elif metavar.startswith("["):
+            keywords["nargs"] = "?"
+        if name in self.required:
+            keywords["required"] = True
+        values: dict[str, Mapping[str, object]] = {
+            "type": READERS | self.readers,
+            "default": DEFAULTS | self.defaults,
+            "choices": CHOICES | self.choices,
+        }
+        for word, named in values.items():
+            if name in named:
+                keywords[word] = named[name]
+        return keywords
 
 
-def add_margins(parser: argparse.ArgumentParser) -> None:
-    """Add --margins."""
-    parser.add_argument(
-        "--margins",
-        choices=MARGINS,
-        default=MARGINS[0],
-        metavar="KIND",
-        help="of long windows: exact, every window searched; or bounds, proved, where a window is decided "
-        "without a search, ten times as fast, while those of FAULT and of what a report shows closely are "
-        "exact; auto: bounds of 131 072 windows and more; through a pipe always exact (default: auto)",
-    )
+PATHS = "DATA", "DIR", "FILE", "HEALTHY", "MANIFEST", "PNG", "TRAINING", ".toml", ".json"
+"""Ends of metavars that name a file or a folder."""
+APART = ("workers", "scheduler"), ("horizon", "lags")
+"""Options of which one may be given."""
 
 
-def add_outside(parser: argparse.ArgumentParser) -> None:
-    """Add --outside."""
-    parser.add_argument(
-        "--outside",
-        choices=OUTSIDE,
-        default=OUTSIDE[0],
-        metavar="WORD",
-        help="for FAULT where inputs leave the region of training, the ranges of the model: fault, and said "
-        "to be outside; or undecided, not claimed there (default: fault)",
-    )
+def method(more: str = "") -> dict[str, str]:
+    """Return --method of a command that tests recordings. more: the end of its help."""
+    return {"--method METHOD": f"{METHODS} (default: windows, all their relations together){more}"}
 
 
-def add_windows(parser: argparse.ArgumentParser, about: str = "", least: int = 0) -> None:
-    """Add --horizon and --lags. about: the help of --horizon; least: its lowest value."""
-    about = about or "a window has S + 1 samples (default: that of the model, or the least useful S)"
-    one = parser.add_mutually_exclusive_group()
-    one.add_argument("--horizon", type=whole_number(least), metavar="S", help=about)
-    one.add_argument(
-        "--lags",
-        type=lags,
-        metavar="0,1,2,4",
-        help="look at the outputs only so many samples before the last of a window: long memory, few rows; "
-        "every input between is used",
-    )
+def every(default: str = "that of the model") -> dict[str, str]:
+    """Return --every. default: of it."""
+    return {
+        "--every 15min": "samples are the means of what was recorded within each such interval of the clock, "
+        f"in ms, s, min, h or d (default: {default})"
+    }
 
 
-def add_observer(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a set observer: those of all, and those that its methods list for the shell."""
-    parser.add_argument(
-        "--order",
-        type=whole_number(1, 1000),
-        metavar="N",
-        help="observer: directions of its set for each state; more is sharper and slower (default: 20)",
-    )
-    parser.add_argument(
-        "--latched",
-        action="store_true",
-        help="observer: FAULT stays until a gap; else it begins anew behind a contradiction",
-    )
-    parser.add_argument(
-        "--observer",
-        type=observer_name,
-        choices=tuple(OBSERVERS),
-        metavar="NAME",
-        help=f"observer: {'; '.join(f'{name}: {kind.about}' for name, kind in OBSERVERS.items())} "
-        f"(default: {next(iter(OBSERVERS))})",
-    )
+def _observer() -> dict[str, str]:
+    """Return the options of a set observer: those of all, and those that its methods list for the shell."""
+    about = "; ".join(f"{name}: {kind.about}" for name, kind in OBSERVERS.items())
+    options = {
+        "--order N": "observer: directions of its set for each state; more is sharper and slower (default: "
+        "20)",
+        "--latched": "observer: FAULT stays until a gap; else it begins anew behind a contradiction",
+        "--observer NAME": f"observer: {about} (default: {next(iter(OBSERVERS))})",
+    }
     for kind in OBSERVERS.values():
         for option in kind.shell:
-            parser.add_argument(
-                option.flag,
-                dest=option.dest,
-                type=whole_number(option.least, option.most),
-                metavar="N",
-                help=f"observer {kind.name}: {option.help} (default: {option.default})",
-            )
+            options[f"{option.flag} N"] = f"observer {kind.name}: {option.help} (default: {option.default})"
+    return options
 
 
-def add_alarm(parser: argparse.ArgumentParser) -> None:
-    """Add --alarm and --min-coverage, by which verdicts become a conclusion."""
-    parser.add_argument(
-        "--alarm",
-        type=some_of("k", "3/5"),
-        metavar="k/n",
-        help="an alarm needs k FAULT among n windows (default: 1/1)",
-    )
-    parser.add_argument(
-        "--least",
-        type=sizes,
-        metavar="T1=0.5",
-        help="FAULT windows that an error of this output below so many of its units explains make no alarm; "
-        "one number is for every output (default: any size)",
-    )
-    parser.add_argument(
-        "--suspects",
-        action="store_true",
-        help="name the signals that alone could be wrong; alarms of different suspects are different alarms; "
-        "--merge-alarms and --latch do it too",
-    )
-    parser.add_argument(
-        "--merge-alarms",
-        type=apart,
-        default=0,
-        metavar="10min",
-        help="alarms of one suspect at most so far apart are one: samples, or ms, s, min, h, d (default: 0)",
-    )
-    parser.add_argument(
-        "--latch",
-        action="store_true",
-        help="an alarm stays on until an opposite jump of its suspect speaks for a repair, or until it is "
-        "acknowledged",
-    )
-    parser.add_argument(
-        "--acknowledged",
-        type=path,
-        metavar="FILE",
-        help="with --latch: times, one a line, at which an operator acknowledged the alarms that were open; "
-        "with - it is read again as samples come",
-    )
-    parser.add_argument(
-        "--min-coverage",
-        type=share,
-        default=0.5,
-        metavar="F",
-        help="least share of decided windows (default: 0.5)",
-    )
-
-
-def alarm_rule(args: argparse.Namespace) -> "AlarmRule":
-    """Return the rule of alarms from the options of `add_alarm`."""
-    from jaxbound.diagnosis.alarmrule import AlarmRule
-
-    k, n = args.alarm or (1, 1)
-    if args.acknowledged is not None and not args.latch:
-        raise Refused("--acknowledged ends alarms that latch: give --latch, too")
-    return AlarmRule(
-        k,
-        n,
-        merge=args.merge_alarms,
-        latch=args.latch,
-        least=args.least,
-        suspects=args.suspects,
-        acknowledged=args.acknowledged or (),
-    )
-
-
-def add_engine(parser: argparse.ArgumentParser) -> None:
-    """Add the options that spread the work."""
-    one = parser.add_mutually_exclusive_group()
-    one.add_argument(
-        "--workers",
-        type=whole_number(1, 10**4),
-        metavar="N",
-        help="let N processes of this machine do the work (needs dask)",
-    )
-    one.add_argument(
-        "--scheduler",
-        type=named,
-        metavar="ADDRESS",
-        help="let the workers of a dask scheduler do the work, like tcp://host:8786; they see all files by "
-        "the same paths",
-    )
-
-
-def add_every(parser: argparse.ArgumentParser, default: str = "that of the model") -> None:
-    """Add --every. default: of it."""
-    parser.add_argument(
-        "--every",
-        type=interval,
-        metavar="15min",
-        help="samples are the means of what was recorded within each such interval of the clock, in ms, s, "
-        f"min, h or d (default: {default})",
-    )
-
-
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add --json."""
-    about = "a machine-readable summary on stdout, nothing else"
-    parser.add_argument("--json", action="store_true", help=about)
-
-
-def add_force(parser: argparse.ArgumentParser) -> None:
-    """Add --force of a command that writes files of any name."""
-    about = "replace files that are there; never one that is read"
-    parser.add_argument("--force", action="store_true", help=about)
+MARGINS_KIND = {
+    "--margins KIND": "of long windows: exact, every window searched; or bounds, proved, where a window is "
+    "decided without a search, ten times as fast, while those of FAULT and of what a report shows closely "
+    "are exact; auto: bounds of 131 072 windows and more; through a pipe always exact (default: auto)"
+}
+OUTSIDE_WORD = {
+    "--outside WORD": "for FAULT where inputs leave the region of training, the ranges of the model: fault, "
+    "and said to be outside; or undecided, not claimed there (default: fault)"
+}
+WINDOW = {
+    "--horizon S": "a window has S + 1 samples (default: that of the model, or the least useful S)",
+    "--lags 0,1,2,4": "look at the outputs only so many samples before the last of a window: long memory, "
+    "few rows; every input between is used",
+}
+SET_OBSERVER = _observer()
+ALARM = {
+    "--alarm k/n": "an alarm needs k FAULT among n windows (default: 1/1)",
+    "--least T1=0.5": "FAULT windows that an error of this output below so many of its units explains make "
+    "no alarm; one number is for every output (default: any size)",
+    "--suspects": "name the signals that alone could be wrong; alarms of different suspects are different "
+    "alarms; --merge-alarms and --latch do it too",
+    "--merge-alarms 10min": "alarms of one suspect at most so far apart are one: samples, or ms, s, min, h, "
+    "d (default: 0)",
+    "--latch": "an alarm stays on until an opposite jump of its suspect speaks for a repair, or until it is "
+    "acknowledged",
+    "--acknowledged FILE": "with --latch: times, one a line, at which an operator acknowledged the alarms "
+    "that were open; with - it is read again as samples come",
+    "--min-coverage F": "least share of decided windows (default: 0.5)",
+}
+"""By which verdicts become a conclusion."""
+ENGINE = {
+    "--workers N": "let N processes of this machine do the work (needs dask)",
+    "--scheduler ADDRESS": "let the workers of a dask scheduler do the work, like tcp://host:8786; they see "
+    "all files by the same paths",
+}
+JSON = {"--json": "a machine-readable summary on stdout, nothing else"}
+FORCE = {"--force": "replace files that are there; never one that is read"}
 
 
 def add_loudness(parser: argparse.ArgumentParser) -> None:
@@ -397,6 +344,24 @@ def add_loudness(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(loudness=NORMAL)
 
 
+def alarm_rule(args: argparse.Namespace) -> "AlarmRule":
+    """Return the rule of alarms from the options ALARM."""
+    from jaxbound.diagnosis.alarmrule import AlarmRule
+
+    k, n = args.alarm or (1, 1)
+    if args.acknowledged is not None and not args.latch:
+        raise Refused("--acknowledged ends alarms that latch: give --latch, too")
+    return AlarmRule(
+        k,
+        n,
+        merge=args.merge_alarms,
+        latch=args.latch,
+        least=args.least,
+        suspects=args.suspects,
+        acknowledged=args.acknowledged or (),
+    )
+
+
 def named(text: str) -> str:
     """Return a name as it is, unless it is empty."""
     if not text.strip():
@@ -413,7 +378,7 @@ def _is_whole(text: str) -> bool:
     return text.isascii() and text.isdecimal()
 
 
-def whole_number(least: int, most: int = LARGEST) -> Callable[[str], int]:
+def whole_number(least: int = 0, most: int = LARGEST) -> Callable[[str], int]:
     """Return a reader of whole numbers between two."""
 
     def read(text: str) -> int:
@@ -496,3 +461,29 @@ def lags(text: str) -> tuple[int, ...]:
         raise ArgumentTypeError(
             f"needs different whole numbers with commas, 0 among them, like 0,1,2,4,8: not {text[:60]!r}"
         ) from None
+
+
+READERS: dict[str, Callable[[str], object]] = {
+    "alarm": some_of("k", "3/5"),
+    "every": interval,
+    "horizon": whole_number(),
+    "lags": lags,
+    "least": sizes,
+    "merge_alarms": apart,
+    "method": method_name,
+    "min_coverage": share,
+    "observer": observer_name,
+    "order": whole_number(1, 1000),
+    "scheduler": named,
+    "workers": whole_number(1, 10**4),
+    **{option.dest: whole_number(option.least, option.most) for option in shell_options()},
+}
+"""Of the options that several commands share."""
+DEFAULTS: dict[str, object] = {
+    "margins": MARGINS[0],
+    "merge_alarms": 0,
+    "method": WINDOWS[1],
+    "min_coverage": 0.5,
+    "outside": OUTSIDE[0],
+}
+CHOICES: dict[str, Sequence[str]] = {"margins": MARGINS, "outside": OUTSIDE, "observer": tuple(OBSERVERS)}

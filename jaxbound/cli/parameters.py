@@ -2,20 +2,12 @@
 
 import argparse
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import (
-    MethodOptions,
-    add_every,
-    add_force,
-    add_json,
-    add_windows,
-    path,
-    share,
-    whole_number,
-)
-from jaxbound.cli.terminal import INTERRUPTED, OK, door, json_text, progress_bars, show, some_device, write
+from jaxbound.cli.options import FORCE, JSON, WINDOW, MethodOptions, Options, every, share, whole_number
+from jaxbound.cli.terminal import INTERRUPTED, OK, Conclusion, Row, Table, door, progress_bars, some_device
 
 if TYPE_CHECKING:
     from jaxbound.estimation.parameter_set import ParameterSet
@@ -37,36 +29,22 @@ CODES = (
     "70 internal error, 130 interrupted (what is left until then is shown)"
 )
 FAULTY = 1
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options."""
-    parser.add_argument(
-        "model", type=path, metavar="MODEL.toml", help="with [[uncertainty]], varying = false"
-    )
-    parser.add_argument("data", type=path, metavar="DATA", help="one recording: CSV or Parquet")
-    parser.add_argument(
-        "--out", type=path, metavar="NARROWED.toml", help="the model with its bounds narrowed to the hull"
-    )
-    parser.add_argument("--plot", type=path, metavar="PNG", help="picture of each pair of parameters")
-    add_every(parser)
-    add_windows(parser)
-    parser.add_argument(
-        "--precision",
-        type=share,
-        default=1 / 32,
-        metavar="F",
-        help="boxes are not cut below this share of the hull (default: 1/32)",
-    )
-    parser.add_argument(
-        "--budget",
-        type=whole_number(1),
-        default=20_000,
-        metavar="N",
-        help="boxes that are judged at most (default: 20 000)",
-    )
-    add_force(parser)
-    add_json(parser)
+OPTIONS = Options(
+    {
+        "model MODEL.toml": "with [[uncertainty]], varying = false",
+        "data DATA": "one recording: CSV or Parquet",
+        "--out NARROWED.toml": "the model with its bounds narrowed to the hull",
+        "--plot PNG": "picture of each pair of parameters",
+        **every(),
+        **WINDOW,
+        "--precision F": "boxes are not cut below this share of the hull (default: 1/32)",
+        "--budget N": "boxes that are judged at most (default: 20 000)",
+        **FORCE,
+        **JSON,
+    },
+    {"precision": share, "budget": whole_number(1)},
+    {"precision": 1 / 32, "budget": 20_000},
+)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -105,10 +83,7 @@ def run(args: argparse.Namespace) -> int:
             with whole(args.plot) as f:
                 f.write(to_png(plot_parameters(left)))
             written.append(str(args.plot))
-    if args.json:
-        write(json_text(_plain(left, written, recording.hints)))
-    else:
-        _show(left, written, recording.hints, recording.label)
+    ParameterConclusion(left, recording.label, written=written, hints=recording.hints).show(args.json)
     if left.status == STOPPED:
         return INTERRUPTED
     if len(left.lo):
@@ -116,42 +91,54 @@ def run(args: argparse.Namespace) -> int:
     return FAULTY
 
 
-def _plain(left: "ParameterSet", written: list[str], hints: tuple[str, ...]) -> dict[str, object]:
-    """Return the outcome as JSON has it."""
-    return {
-        "status": left.status,
-        "parameters": {
-            name: {"bounds": left.bounds[name], "hull": left.hull.get(name)} for name in left.names
-        },
-        "share": left.share,
-        "boxes": len(left.lo),
-        "evaluated": left.evaluated,
-        "windows": left.windows,
-        "refuted": {str(sample): boxes for sample, boxes in left.refuted.items()},
-        "written": written,
-        "hints": list(hints),
-    }
+@dataclass(frozen=True)
+class ParameterConclusion(Conclusion):
+    """The values that are left. Fields: left: of them. label: the time of a sample by its number."""
 
+    left: "ParameterSet"
+    label: Callable[[int], str]
 
-def _show(
-    left: "ParameterSet", written: list[str], hints: tuple[str, ...], label: Callable[[int], str]
-) -> None:
-    """Print the outcome."""
-    headline = f"FAULT proved: no values of {', '.join(left.names)} explain all {left.windows} windows"
-    table = None
-    if len(left.lo):
-        headline = (
-            f"{', '.join(left.names)}: every value that explains all {left.windows} windows is in these "
-            f"bounds"
-        )
+    @property
+    def headline(self) -> str:
+        """The names of the parameters, or that no values explain the recording."""
+        names, windows = ", ".join(self.left.names), self.left.windows
+        if not len(self.left.lo):
+            return f"FAULT proved: no values of {names} explain all {windows} windows"
+        return f"{names}: every value that explains all {windows} windows is in these bounds"
+
+    def table(self) -> Table:
+        """Return the bounds of each parameter."""
+        if not len(self.left.lo):
+            return ()
         table = [("parameter", "at least", "at most", "before")]
-        for name, (lo, hi) in left.hull.items():
-            before = "{:g} to {:g}".format(*left.bounds[name])
+        for name, (lo, hi) in self.left.hull.items():
+            before = "{:g} to {:g}".format(*self.left.bounds[name])
             table.append((name, f"{lo:.6g}", f"{hi:.6g}", before))
-    rows = [("left", f"{100 * left.share:.3g} % of the volume, in {len(left.lo)} boxes; {left.status}")]
-    if left.refuted:
-        sample, boxes = next(iter(left.refuted.items()))
-        rows.append(("refuted most", f"the window that ends at {label(sample)}: {boxes} boxes"))
-    rows += [("hint", hint) for hint in hints]
-    rows += [("written", file) for file in written]
-    show(headline, "bold", rows, table)
+        return table
+
+    def rows(self) -> list[Row]:
+        """Return the share that is left, and the window that refutes most."""
+        left = self.left
+        rows = [("left", f"{100 * left.share:.3g} % of the volume, in {len(left.lo)} boxes; {left.status}")]
+        if left.refuted:
+            sample, boxes = next(iter(left.refuted.items()))
+            rows.append(("refuted most", f"the window that ends at {self.label(sample)}: {boxes} boxes"))
+        return rows
+
+    def plain(self) -> dict[str, object]:
+        """Return the bounds before and now, and the counts of boxes."""
+        left = self.left
+        parameters = {}
+        for name in left.names:
+            parameters[name] = {"bounds": left.bounds[name], "hull": left.hull.get(name)}
+        return {
+            "status": left.status,
+            "parameters": parameters,
+            "share": left.share,
+            "boxes": len(left.lo),
+            "evaluated": left.evaluated,
+            "windows": left.windows,
+            "refuted": {str(sample): boxes for sample, boxes in left.refuted.items()},
+            "written": self.written,
+            "hints": self.hints,
+        }

@@ -12,13 +12,13 @@ import os
 import stat
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
 import jax
-import numpy as np
 
 from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.signals import arrivals, ends
@@ -44,10 +44,11 @@ from jaxbound.recordings.seams import irregular, seam_hints
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Stream, Taken
 from jaxbound.relations.identity import identity
+from jaxbound.runs.alarmbook import ALARMS, LiveAlarms, Notice
+from jaxbound.runs.counts import Tally
 from jaxbound.runs.endings import endings_said
 from jaxbound.runs.journal import STATE, Journal, LiveCheckpoint, refuse_former_state
 from jaxbound.runs.judges import Live
-from jaxbound.runs.livealarms import ALARMS, LiveAlarms, Notice
 from jaxbound.runs.loop import Memory, follow
 from jaxbound.runs.outputs import OutputFolder, output_folder, refuse_targets
 from jaxbound.runs.refusals import Refused
@@ -55,11 +56,9 @@ from jaxbound.runs.rows import VERDICTS, RowFile, RowText
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.runs.sinks import close_all, file_names, open_sinks
 from jaxbound.runs.summary import Evidence, Summary, Window, rests_on_outgrown, said, unsaid
-from jaxbound.runs.tally import Tally
-from jaxbound.runs.testcounts import CountsByTest
 from jaxbound.text.quantities import finite
 
-__all__ = ["judge_stream"]
+__all__ = ["LiveRun", "judge_stream"]
 
 STDIN = "-"
 RULE = "rule of alarms"
@@ -69,44 +68,63 @@ OTHER_RULE = f"{{}} is of a {RULE}: give it again, choose another place, or dele
 TALKATIVE, QUIET = 20, 60.0  # sentences of a kind at first, then one in so many seconds
 
 
-def judge_stream(
-    model: Path | str,
-    chunks: Iterable[Any] | None = None,
-    options: MethodOptions | None = None,
-    *,
-    data: str = STDIN,
-    out: Path | None = None,
-    state: Path | None = None,
-    min_coverage: float = 0.5,
-    as_json: bool = False,
-    alarm: AlarmRule | None = None,
-) -> int:
+@dataclass(frozen=True)
+class LiveRun:
+    """Samples that are to be judged as they come.
+
+    Fields:
+        model: path of the model file. options: of the test. data: "-", or the name of a live source.
+        out: folder of the verdicts; state: file to go on from; None: none.
+        min_coverage: least share of decided windows. json: whether verdicts are JSON, else CSV.
+        alarm: the rule by which alarms are told; None: none are.
+    """
+
+    model: Path | str
+    options: MethodOptions = MethodOptions()
+    data: str = STDIN
+    out: Path | None = None
+    state: Path | None = None
+    min_coverage: float = 0.5
+    json: bool = False
+    alarm: AlarmRule | None = None
+
+    @property
+    def files(self) -> list[str]:
+        """The files in the folder."""
+        if self.alarm is None:
+            return [VERDICTS, STATE]
+        return [VERDICTS, STATE, ALARMS]
+
+    @property
+    def state_path(self) -> Path | None:
+        """The path of the checkpoint, None where none is kept."""
+        if self.state is not None:
+            return Path(self.state)
+        return self.out and Path(self.out) / STATE
+
+
+def judge_stream(asked: LiveRun, chunks: Iterable[Any] | None = None) -> int:
     """Judge samples as they come; return the exit code.
 
     Args:
-        model: path of the model file. chunks: what arrives, bytes of a pipe or readings of a live source;
-            None in it ends the run as a signal does. None: what arrives at standard input, or at the live
-            source that `data` names, until a signal or its end.
-        options: of the test. data: "-", or the name of a live source. out: folder of the verdicts; state:
-            file to go on from; None: none. min_coverage: least share of decided windows. as_json: verdicts as
-            JSON, else as CSV. alarm: the rule by which alarms are told; None: none are.
+        chunks: what arrives, bytes of a pipe or readings of a live source; None in it ends the run as a
+            signal does. None: what arrives at standard input, or at the live source, until a signal or its
+            end.
 
     Raises:
         Refused: a model, a header, a sampling period or a state that does not fit, a method without a
             Monitor.
     """
-    options = options or MethodOptions()
+    options, files, path = asked.options, asked.files, asked.state_path
     with door(), ExitStack() as opened:
         end = None
         if chunks is None:
             end = opened.enter_context(ends())
-        files = [VERDICTS, STATE]
-        if alarm is not None:
-            files.append(ALARMS)
-        folder = opened.enter_context(_folder(Path(model), out, state, files))
-        stated = stated_model(model, options.every)
-        tested, relations = window_relations(stated, options, model, None, lambda stage, share: None)
+        folder = opened.enter_context(_folder(asked))
+        stated = stated_model(asked.model, options.every)
+        tested, relations = window_relations(stated, options, asked.model, None, lambda stage, share: None)
         how = {"method": options.method, "word outside training": options.outside, **BY_VALUE}
+        alarm = asked.alarm
         if alarm is not None:
             alarm = fitted(alarm, relations)
             how[RULE] = json.dumps(alarm.plain(), sort_keys=True)
@@ -115,37 +133,41 @@ def judge_stream(
             jax.config.update("jax_cpu_enable_async_dispatch", False)  # type: ignore[no-untyped-call]
         usable_device()
         judge = _live(relations, options)
-        path = _state_path(out, state)
-        journal = None
+        journal = before = taken = None
         if path is not None:
-            if state is None:
+            if asked.state is None:
                 refuse_link(path)
             journal = opened.enter_context(Journal(path, identity(relations, **how)))
-        before = taken = None
-        if journal is not None:
             before, taken = journal.before, journal.taken
         if before is not None and alarm is None and RULED[True] in before["sinks"]:
             raise Refused(OTHER_RULE.format(path))
         work: Any = nullcontext()
         if folder is not None:
-            if state is None:
+            if asked.state is None:
                 refuse_former_state(folder.path)
             # a state tells whether the verdicts are its own
             folder.check(files, foreign=before is None)
             work = folder.work()
         with work as place:
-            stream = _stream(data, relations.model, _Complaints(), before and before["source"], taken)
+            stream = _stream(asked.data, relations.model, _Complaints(), before and before["source"], taken)
             rule = alarm or EVERY_FAULT
             alarms = LiveAlarms(rule, relations, options.method, stream.dt, stream.complain)
-            lines = _PrintedLines(as_json, out is None, alarms, alarm is not None)
-            run = opened.enter_context(_LiveRun(stated, stream, judge, journal, lines, out, place))
+            lines = _PrintedLines(asked.json, asked.out is None, alarms, alarm is not None)
+            run = opened.enter_context(_Judging(stated, stream, judge, journal, lines, asked.out, place))
             run.resume()
             if folder is not None:
                 folder.claim(*files)
             if end is not None:
                 chunks = arrivals(stream.raw, end)
-            summary = run.to_the_end(chunks or (), min_coverage)
-            about = tested, Path(data), None, options.method, relations.horizon, options.observer_options
+            summary = run.to_the_end(chunks or (), asked.min_coverage)
+            about = (
+                tested,
+                Path(asked.data),
+                None,
+                options.method,
+                relations.horizon,
+                options.observer_options,
+            )
             close_all(run.outputs, Outcome([], summary, *about))
         if journal is not None:
             journal.close()
@@ -184,41 +206,30 @@ def _stream(
     return PipeText(model, complaints, memory, taken)
 
 
-def _state_path(out: Path | None, state: Path | None) -> Path | None:
-    """Return the path of the checkpoint, or None where none is kept."""
-    if state is not None:
-        return Path(state)
-    if out is not None:
-        return Path(out) / STATE
-    return None
-
-
 @contextmanager
-def _folder(
-    model: Path, out: Path | None, state: Path | None, files: Sequence[str]
-) -> Iterator[OutputFolder | None]:
+def _folder(asked: LiveRun) -> Iterator[OutputFolder | None]:
     """Make --out a folder that this command may write files into; refuse to write over anything that is
     read.
     """
-    inputs = [model]
+    inputs = [Path(asked.model)]
     if _is_file():
         inputs.append(Path("/dev/stdin"))
     place: Any = nullcontext()
-    if out is not None:
-        place = output_folder(out, file_names(whole=False), inputs)
+    if asked.out is not None:
+        place = output_folder(asked.out, file_names(whole=False), inputs)
     with place as folder:
-        if state is not None:
-            refuse_targets({"--state": Path(state)}, inputs, force=True)
-        if out is not None:
-            path = out / STATE if state is None else Path(state)
+        path = asked.state_path
+        if asked.state is not None:
+            refuse_targets({"--state": Path(asked.state)}, inputs, force=True)
+        if asked.out is not None and path is not None:
             for name, what in ((VERDICTS, "verdicts"), (ALARMS, "alarms")):
-                if name in files and os.path.realpath(path) == os.path.realpath(out / name):
+                if name in asked.files and os.path.realpath(path) == os.path.realpath(asked.out / name):
                     raise Refused(f"--state {path} is where the {what} are written: give another name")
-            folder.check(files, foreign=False)
+            folder.check(asked.files, foreign=False)
         yield folder
 
 
-class _LiveRun:
+class _Judging:
     """One run: its stream, judge, sinks and checkpoint."""
 
     def __init__(
@@ -236,11 +247,8 @@ class _LiveRun:
         relations = judge.monitor.relations
         self.hints = [*bound_hints(stated, relations), *device_hints(judging_device(relations.remembers))]
         self.outgrown = bool(outgrown(stated, relations))
-        self.tally = Tally(stream.when, relations.horizon, region=judge.region)
+        self.tally = Tally(relations, stream.when)
         self.alarms = lines.alarms
-        self.by_test = None
-        if relations.parts:
-            self.by_test = CountsByTest(relations)
         self.file = self.alarm_file = None
         if out is not None and journal is not None:  # a folder has a state
             self.file = RowFile(out / VERDICTS, lines.text, journal.path)
@@ -259,8 +267,6 @@ class _LiveRun:
     def _named_sinks(self) -> Mapping[str, Any]:
         """Return {name in the checkpoint: sink}, in the order in which they hand on: a file before stdout."""
         named: dict[str, Any] = {"counts": self.tally, RULED[self.lines.tells]: self.alarms}
-        if self.by_test is not None:
-            named["tests"] = self.by_test
         if self.file is not None:
             named["file"] = self.file
         if self.alarm_file is not None:
@@ -270,7 +276,7 @@ class _LiveRun:
             named[f"{type(sink).__module__}.{type(sink).__qualname__}"] = sink
         return named
 
-    def __enter__(self) -> "_LiveRun":
+    def __enter__(self) -> "_Judging":
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -309,50 +315,26 @@ class _LiveRun:
         alarms, endings = self.alarms.counted()
         if self.alarm_file is not None:
             self.alarm_file.end_with(self.alarms.written_rows(self.alarms.pending()))
-        tally, clock = self.tally, self.stream.clock
-        relations = self.judge.monitor.relations
-        observes = relations.remembers
+        tally, clock, monitor = self.tally, self.stream.clock, self.judge.monitor
+        numbers = tally.evidence(monitor.method, self.judge.outside, alarms, endings)
+        numbers = replace(numbers, outgrown=self.outgrown and rests_on_outgrown(numbers.tests))
         worst = None
-        at: Any = None  # the label of a sample stands where its number does
-        margin = np.nan
         if tally.worst is not None:
-            at, margin = tally.worst.when, tally.worst.margin
-            worst = Window(tally.worst.sample, self.stream.label(at), margin)
-        counts, outside = tally.named(), tally.outside(self.judge.outside)
-        tests = covered = None
-        if self.by_test is not None:
-            tests, covered = self.by_test.tests(), self.by_test.covered
-        numbers = Evidence(
-            self.judge.monitor.method,
-            relations.horizon,
-            clock.samples,
-            counts,
-            tally.aside,
-            at,
-            margin,
-            None,
-            alarms,
-            endings,
-            remembers=observes,
-            outgrown=self.outgrown and rests_on_outgrown(tests),
-            outside=outside,
-            observes=relations.observes,
-            tests=tests,
-            covered=covered,
-        )
+            worst = Window(tally.worst.sample, self.stream.label(tally.worst.when), numbers.margin)
         verdict, sentence = said(numbers, self.stream.label, min_coverage)
         hints = unsaid([hint for hint in self._hints(numbers) if hint], sentence)
         if self.resumed and clock.samples == self.known:
             verdict, sentence, hints = "too little evidence", self._nothing_new(), ()
         for hint in hints:
             say(hint)
-        if outside is not None:
-            say(f"training: {outside.shown(clock.samples - counts['MISSING'], observes)}")
-        some = ", ".join(f"{n} {name}" for name, n in counts.items() if n)
+        if numbers.outside is not None:
+            with_data = clock.samples - numbers.counts["MISSING"]
+            say(f"training: {numbers.outside.shown(with_data, numbers.remembers)}")
+        some = ", ".join(f"{n} {name}" for name, n in numbers.counts.items() if n)
         say(f"{sentence} {clock.samples} samples: {some}")
-        for name, test in (tests or {}).items():
+        for name, test in (numbers.tests or {}).items():
             say(f"test {name}: {', '.join(f'{n} {status}' for status, n in test.counts.items() if n)}")
-        return Summary(verdict, sentence, numbers, worst, hints=hints, model=relations.model.name)
+        return Summary(verdict, sentence, numbers, worst, hints=hints, model=monitor.relations.model.name)
 
     def _nothing_new(self) -> str:
         """Return the sentence of a run that judged nothing, behind one that did."""

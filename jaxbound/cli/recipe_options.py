@@ -7,41 +7,30 @@ from typing import Any
 
 from jaxbound.text.quantities import decimal
 
-__all__ = ["add_recipe", "recipe_fields", "recipe_hints"]
+__all__ = ["HIDDEN", "RECIPE", "recipe_fields", "recipe_hints"]
 
 FIELDS = (
     "order delay direct horizon lags average test observer disturbances see follow signals method safety "
     "held_out"
 ).split()
 """Of `jb.Recipe`, whose home imports NumPy, for which a help does not wait; a test compares them."""
-TRUTH = {"true": True, "false": False}
+TRUTH = {"true": True, "True": True, "false": False}
 DIGITS = 20
 """A number of so many digits is not even converted to a whole one."""
 
 
-def add_recipe(parser: argparse.ArgumentParser) -> None:
-    """Add --recipe, and the fields as options of their own, which help does not show."""
-    parser.add_argument(
-        "--recipe",
-        default="",
-        metavar="A=1,B=2",
-        help="how to fit, and for which test, like order=1,horizon=30 (a window of 31 samples) or a model "
-        "file, to fit as it was fitted; order, delay: numbers or auto (default: 2, 1); direct=true: inputs "
-        "act at once; horizon, lags=0,1,2,4, average=8: windows; test=bank: all that see what others miss, "
-        "auto: the best (default: bank, where nothing else says what is tested); observer, "
-        "disturbances=auto, see=T1:bias:2: bounds of an observer, of disturbances, for these faults; "
-        "follow=auto: bounds follow the operating point; signals=auto: choose inputs; method: least "
-        "squares, windows, filters, auto; safety (default: 1.25); held_out (default: 0.3)",
-    )
-    for name in FIELDS:
-        hidden: dict[str, Any] = {"dest": name, "default": None, "help": argparse.SUPPRESS}
-        if name == "direct":
-            hidden |= {"action": "store_const", "const": "true"}
-        parser.add_argument(_flag(name), **hidden)
-
-
-def _flag(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
+RECIPE = {
+    "--recipe A=1,B=2": "how to fit, and for which test, like order=1,horizon=30 (a window of 31 samples) or "
+    "a model file, to fit as it was fitted; order, delay: numbers or auto (default: 2, 1); direct=true: "
+    "inputs act at once; horizon, lags=0,1,2,4, average=8: windows; test=bank: all that see what others "
+    "miss, auto: the best (default: bank, where nothing else says what is tested); observer, "
+    "disturbances=auto, see=T1:bias:2: bounds of an observer, of disturbances, for these faults; "
+    "follow=auto: bounds follow the operating point; signals=auto: choose inputs; method: least squares, "
+    "windows, filters, auto; safety (default: 1.25); held_out (default: 0.3)",
+    "--direct": argparse.SUPPRESS,
+}
+HIDDEN = [name for name in FIELDS if name != "direct"]
+"""Fields that are options of their own, too, which help does not show."""
 
 
 def recipe_fields(args: argparse.Namespace) -> tuple[Path | None, dict[str, Any]]:
@@ -50,7 +39,7 @@ def recipe_fields(args: argparse.Namespace) -> tuple[Path | None, dict[str, Any]
     Raises:
         ValueError: no fields, one that is given twice, or faults that are none.
     """
-    options = [(name, getattr(args, name)) for name in _options(args)]
+    options = [(name, str(getattr(args, name))) for name in _options(args)]
     if args.recipe.endswith(".toml"):
         return Path(args.recipe), _values(options)
     entries: list[tuple[str, str]] = []
@@ -99,6 +88,10 @@ def _value(name: str, text: str) -> object:
 def _options(args: argparse.Namespace) -> list[str]:
     """Return the fields of a recipe that are given by options of their own."""
     return [name for name in FIELDS if getattr(args, name) is not None]
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def recipe_hints(args: argparse.Namespace) -> list[str]:

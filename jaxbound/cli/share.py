@@ -64,7 +64,7 @@ def judge_share(run: DetectRun, part: tuple[int, int]) -> int:
             "out": str(run.out),
             "seconds": {k: round(v, 3) for k, v in seconds.items()},
         }
-        write(json_text(found, 2))
+        write(json_text(found))
         return OK
     done = f"the verdicts of samples {first} to {last} are in {where}"
     if not mine:

@@ -7,14 +7,13 @@ from collections.abc import Callable
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.names import parted, unquoted
 from jaxbound.cli.options import (
+    ENGINE,
+    JSON,
     METHODS,
+    SET_OBSERVER,
+    WINDOW,
     MethodOptions,
-    add_engine,
-    add_json,
-    add_observer,
-    add_windows,
-    method_name,
-    path,
+    Options,
     whole_number,
 )
 from jaxbound.cli.terminal import LOUDNESS, OK, QUIET, Refused, door, progress_bars, say, usable_device
@@ -39,83 +38,38 @@ CODES = (
 MOST_SIZES = 10_000  # of a fault
 PATIENCE = 20.0
 """Seconds that a study may take without being announced."""
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options."""
-    parser.add_argument(
-        "model", type=path, metavar="MODEL.toml", help="the plant and the bounds of its monitor"
-    )
-    parser.add_argument(
-        "--faults",
-        required=True,
-        metavar="F,F",
-        help="like y1:bias,y2:gain,u1:bias; kinds as in a simulation; a name with commas in backticks",
-    )
-    parser.add_argument(
-        "--sizes",
-        metavar="LO:HI:COUNT",
-        help="or numbers with commas (default: twelve around the guaranteed size)",
-    )
-    parser.add_argument(
-        "--n",
-        type=whole_number(1),
-        default=100_000,
-        metavar="N",
-        help="scenarios, spread over faults and sizes (default: 100000)",
-    )
-    parser.add_argument(
-        "--out",
-        type=path,
-        required=True,
-        metavar="DIR",
-        help="folder for summary.csv, delays.parquet and report.html",
-    )
-    parser.add_argument(
-        "--samples",
-        type=whole_number(1, 10**6),
-        default=200,
-        metavar="T",
-        help="of a scenario (default: 200)",
-    )
-    parser.add_argument(
-        "--onset",
-        metavar="LO:HI",
-        help="the fault starts at a sample LO <= k < HI (default: the second quarter)",
-    )
-    parser.add_argument(
-        "--at",
-        default="uniform",
-        help="unknowns: uniform (default), vertices of their bounds, or adversarial",
-    )
-    add_windows(parser)
-    parser.add_argument(
-        "--method",
-        type=method_name,
-        default="joint",
-        metavar="METHOD",
-        help=f"of the monitor: {METHODS} (default: windows), or observer",
-    )
-    add_observer(parser)
-    parser.add_argument(
-        "--seed", type=whole_number(0), default=0, metavar="K", help="of the scenarios (default: 0)"
-    )
-    parser.add_argument(
-        "--input-range",
-        metavar="LO:HI",
-        help="levels of the inputs, one pair for all or one each with commas (default: the ranges that the "
-        "model file states, which fit writes, else from 1 below the operating point to 1 above)",
-    )
-    parser.add_argument(
-        "--hold",
-        type=whole_number(1),
-        default=20,
-        metavar="H",
-        help="samples that a level lasts (default: 20)",
-    )
-    add_engine(parser)
-    parser.add_argument("--rows", action="store_true", help="keep a row for each scenario in DIR/scenarios/")
-    add_json(parser)
+OPTIONS = Options(
+    {
+        "model MODEL.toml": "the plant and the bounds of its monitor",
+        "--faults F,F": "like y1:bias,y2:gain,u1:bias; kinds as in a simulation; a name with commas in "
+        "backticks",
+        "--sizes LO:HI:COUNT": "or numbers with commas (default: twelve around the guaranteed size)",
+        "--n N": "scenarios, spread over faults and sizes (default: 100000)",
+        "--out DIR": "folder for summary.csv, delays.parquet and report.html",
+        "--samples T": "of a scenario (default: 200)",
+        "--onset LO:HI": "the fault starts at a sample LO <= k < HI (default: the second quarter)",
+        "--at AT": "unknowns: uniform (default), vertices of their bounds, or adversarial",
+        **WINDOW,
+        "--method METHOD": f"of the monitor: {METHODS} (default: windows), or observer",
+        **SET_OBSERVER,
+        "--seed K": "of the scenarios (default: 0)",
+        "--input-range LO:HI": "levels of the inputs, one pair for all or one each with commas (default: the "
+        "ranges that the model file states, which fit writes, else from 1 below the operating point to 1 "
+        "above)",
+        "--hold H": "samples that a level lasts (default: 20)",
+        **ENGINE,
+        "--rows": "keep a row for each scenario in DIR/scenarios/",
+        **JSON,
+    },
+    {
+        "n": whole_number(1),
+        "samples": whole_number(1, 10**6),
+        "seed": whole_number(),
+        "hold": whole_number(1),
+    },
+    {"n": 100_000, "samples": 200, "at": "uniform", "seed": 0, "hold": 20},
+    ("faults", "out"),
+)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -123,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     start = time.perf_counter()
     with swift_imports():
         from jaxbound.cli.engine import engine
-        from jaxbound.cli.study_summary import FILES, conclude_study, write_study
+        from jaxbound.cli.study_summary import FILES, StudyConclusion, write_study
         from jaxbound.cli.window import window_relations
         from jaxbound.models.modelfile import load_model
         from jaxbound.runs.outputs import output_folder
@@ -168,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
             write_study(work, result, args.seed, seconds)
         folder.remove("study.png")  # of an earlier version
         step("report", 1.0)
-    conclude_study(result, args.out, seconds, as_json=args.json)
+    StudyConclusion(result, args.out / "report.html", seconds).show(args.json)
     return OK
 
 

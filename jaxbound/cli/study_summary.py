@@ -1,13 +1,14 @@
 """The files of a Monte-Carlo study, and its conclusion on the terminal or as JSON."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
-from jaxbound.cli.terminal import json_text, show, write
+from jaxbound.cli.terminal import Conclusion, Row, Table
 from jaxbound.recordings.columns import texts, to_arrow, write_columns
 from jaxbound.reports.study import COLUMNS, sentence, study_head, study_page, study_rows
 from jaxbound.studies.montecarlo.study_result import StudyResult, delay_table, study_table
@@ -16,7 +17,7 @@ from jaxbound.text.characters import cell
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["FILES", "conclude_study", "write_study"]
+__all__ = ["FILES", "StudyConclusion", "write_study"]
 
 FILES = ("summary.csv", "summary.parquet", "delays.parquet", "report.html")
 
@@ -48,35 +49,48 @@ def _column(values: np.ndarray, written: Callable[[Any], str]) -> "pa.Array":
     return texts([written(name) for name in names]).take(to_arrow(np.array([names.index(v) for v in values])))
 
 
-def conclude_study(result: StudyResult, out: Path, seconds: float, as_json: bool = False) -> None:
-    """Print the conclusion of a study. out: the folder of its report; seconds: its duration."""
-    page = str(out / "report.html")
-    if as_json:
-        write(json_text(_plain_study(result, page)))
-        return
-    speed = result.scenarios * result.samples / max(seconds, 1e-9) / 1e6
-    where = f"on {jax.local_device_count()} device"
-    rows = [
-        ("study", sentence(result)),
-        ("columns", COLUMNS),
-        ("seconds", f"{seconds:.1f}, {speed:.3g} million samples a second {where}"),
-        ("report", page),
-    ]
-    show(result.model.name, "bold", rows, table=[study_head(result), *study_rows(result)])
+@dataclass(frozen=True)
+class StudyConclusion(Conclusion):
+    """The conclusion of a study. Fields: result; page: its report; seconds: its duration."""
 
+    result: StudyResult
+    page: Path
+    seconds: float
 
-def _plain_study(result: StudyResult, page: str) -> dict[str, Any]:
-    """Return a study as JSON has it."""
-    false_alarms, clean_windows = result.false_alarms
-    columns = {name: x.tolist() for name, x in study_table(result).items()}
-    cells = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    return {
-        "scenarios": result.scenarios,
-        "samples": result.samples,
-        "at": result.at,
-        "horizon": result.horizon,
-        "false_alarms": false_alarms,
-        "clean_windows": clean_windows,
-        "cells": cells,
-        "report": page,
-    }
+    @property
+    def headline(self) -> str:
+        """The name of the model."""
+        return self.result.model.name
+
+    def table(self) -> Table:
+        """Return a row for each fault and size."""
+        return [study_head(self.result), *study_rows(self.result)]
+
+    def rows(self) -> list[Row]:
+        """Return the false alarms, and the speed."""
+        result = self.result
+        speed = result.scenarios * result.samples / max(self.seconds, 1e-9) / 1e6
+        where = f"on {jax.local_device_count()} device"
+        return [
+            ("study", sentence(result)),
+            ("columns", COLUMNS),
+            ("seconds", f"{self.seconds:.1f}, {speed:.3g} million samples a second {where}"),
+            ("report", str(self.page)),
+        ]
+
+    def plain(self) -> dict[str, Any]:
+        """Return the counts."""
+        result = self.result
+        false_alarms, clean_windows = result.false_alarms
+        columns = {name: x.tolist() for name, x in study_table(result).items()}
+        cells = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        return {
+            "scenarios": result.scenarios,
+            "samples": result.samples,
+            "at": result.at,
+            "horizon": result.horizon,
+            "false_alarms": false_alarms,
+            "clean_windows": clean_windows,
+            "cells": cells,
+            "report": str(self.page),
+        }

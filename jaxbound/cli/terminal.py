@@ -6,9 +6,11 @@ import signal
 import sys
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from dataclasses import dataclass
 
 from jaxbound.cli.signals import ENDS
 from jaxbound.runs.refusals import Refused, Stopped
@@ -17,6 +19,7 @@ from jaxbound.text.quantities import plain
 
 __all__ = [
     "BAD_INPUT",
+    "Conclusion",
     "INTERNAL",
     "INTERRUPTED",
     "LOUDNESS",
@@ -42,6 +45,9 @@ OK, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 2, 70, 130  # of every command; of ver
 QUIET, NORMAL, VERBOSE = 0, 1, 2
 LOUDNESS: ContextVar[int] = ContextVar("loudness", default=NORMAL)
 """How much a command says: -q the first line of its conclusion, -v more than it would."""
+Row = tuple[str, str]
+"""(name, value)."""
+Table = Sequence[Sequence[str]]
 EVERY = 60.0
 """Seconds between two lines of progress where there is no terminal."""
 
@@ -164,11 +170,11 @@ def write(text: str) -> None:
         raise Refused(f"cannot write to standard output: {system_trouble(e)}") from e
 
 
-def json_text(value: object, indent: int = 1, ensure_ascii: bool = True) -> str:
+def json_text(value: object) -> str:
     """Return the JSON of a value, see `plain`, with the end of its line."""
     import json
 
-    return json.dumps(plain(value), indent=indent, allow_nan=False, ensure_ascii=ensure_ascii) + "\n"
+    return json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def nobody_reads() -> None:
@@ -181,7 +187,7 @@ def show(
     headline: str,
     style: str,
     rows: Iterable[tuple[str, str]],
-    table: Sequence[Sequence[str]] | None = None,
+    table: Table = (),
     text: str = "",
     last: bool = False,
 ) -> None:
@@ -191,7 +197,7 @@ def show(
     With -q the headline alone. Args: last: the table stands behind the pairs.
     """
     if LOUDNESS.get() == QUIET:
-        rows, table, text = (), None, ""
+        rows, table, text = (), (), ""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -221,6 +227,53 @@ def show(
         write(page.getvalue())
     else:
         write("\n".join(line.rstrip() for line in page.getvalue().split("\n")))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conclusion(ABC):
+    """The result of a command in words: rows for people, or the same for programs.
+
+    Fields: hints: sentences to check. written: new files. style: of the headline, as rich has it.
+    """
+
+    hints: Sequence[str] = ()
+    written: Sequence[object] = ()
+    style: str = "bold"
+
+    @property
+    @abstractmethod
+    def headline(self) -> str:
+        """The first line, all that -q leaves."""
+
+    @abstractmethod
+    def rows(self) -> list[Row]:
+        """Return rows of (name, value), without the hints and the new files."""
+
+    def table(self) -> Table:
+        """Return rows of cells, the header first."""
+        return ()
+
+    def text(self) -> str:
+        """Return a text to stand behind all."""
+        return ""
+
+    @abstractmethod
+    def plain(self) -> object:
+        """Return the conclusion as JSON has it, see `text.quantities.plain`."""
+
+    def show(self, as_json: bool = False) -> None:
+        """Print the conclusion."""
+        if as_json:
+            write(json_text(self.plain()))
+            return
+        if LOUDNESS.get() == QUIET:
+            show(self.headline, self.style, ())
+            return
+        rows = self.rows()
+        if self.written:
+            rows.append(("written", " and ".join(map(str, self.written))))
+        rows += [("hint", hint) for hint in self.hints]
+        show(self.headline, self.style, rows, self.table(), self.text())
 
 
 def say(sentence: str) -> None:

@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING, cast
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import (
+    FORCE,
+    JSON,
     OBSERVER,
+    SET_OBSERVER,
+    WINDOW,
     MethodOptions,
-    add_every,
-    add_force,
-    add_json,
-    add_observer,
-    add_windows,
-    method_name,
-    path,
+    Options,
+    every,
     share,
     whole_number,
 )
@@ -23,11 +22,9 @@ from jaxbound.cli.terminal import (
     OK,
     Refused,
     door,
-    json_text,
     progress_bars,
     say,
     some_device,
-    write,
 )
 from jaxbound.text.progress import in_part
 from jaxbound.text.quantities import decimal
@@ -63,66 +60,31 @@ CODES = (
     "exit codes: 0, 2 bad input, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM (the best "
     "bounds until then are written; the same command goes on)"
 )
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options."""
-    parser.add_argument(
-        "model", type=path, metavar="MODEL.toml", help="its bounds are the start; those at 0 stay 0"
-    )
-    parser.add_argument(
-        "healthy", type=path, nargs="+", metavar="HEALTHY", help="recordings without a fault: CSV or Parquet"
-    )
-    parser.add_argument(
-        "--faulty",
-        type=path,
-        nargs="+",
-        default=[],
-        metavar="F",
-        help="recordings with a fault, to be left outside",
-    )
-    parser.add_argument(
-        "--out", type=path, required=True, metavar="TUNED.toml", help="the model with its new bounds"
-    )
-    add_every(parser)
-    add_windows(parser)
-    parser.add_argument(
-        "--method",
-        type=method_name,
-        choices=("joint", OBSERVER),
-        default="joint",
-        metavar="METHOD",
-        help="windows, or the tests that the model states, one factor each; observer: all bounds by one "
-        "factor, at which it follows each recording to its end (default: windows)",
-    )
-    add_observer(parser)
-    parser.add_argument(
-        "--steps",
-        type=whole_number(0, 10**7),
-        metavar="N",
-        help=f"gradient steps (default: {STEPS}; 0: one factor on all bounds)",
-    )
-    parser.add_argument("--optimizer", metavar="NAME", help="of optax: adam (default), sgd, lion, ...")
-    parser.add_argument(
-        "--bounds", metavar="A,B", help="which move: noise, tolerance, disturbance, parameters (default: all)"
-    )
-    parser.add_argument(
-        "--safety",
-        type=decimal,
-        default=1.25,
-        metavar="F",
-        help="factor on the smallest bounds (default: 1.25)",
-    )
-    parser.add_argument(
-        "--calibrate",
-        type=share,
-        default=1 / 3,
-        metavar="F",
-        help="share of the data kept out of the search (default: 1/3)",
-    )
-    parser.add_argument("--plot", type=path, metavar="PNG", help="picture of the search and of the margins")
-    add_force(parser)
-    add_json(parser)
+OPTIONS = Options(
+    {
+        "model MODEL.toml": "its bounds are the start; those at 0 stay 0",
+        "healthy HEALTHY ...": "recordings without a fault: CSV or Parquet",
+        "--faulty DATA ...": "recordings with a fault, to be left outside",
+        "--out TUNED.toml": "the model with its new bounds",
+        **every(),
+        **WINDOW,
+        "--method METHOD": "windows, or the tests that the model states, one factor each; observer: all "
+        "bounds by one factor, at which it follows each recording to its end (default: windows)",
+        **SET_OBSERVER,
+        "--steps N": f"gradient steps (default: {STEPS}; 0: one factor on all bounds)",
+        "--optimizer NAME": "of optax: adam (default), sgd, lion, ...",
+        "--bounds A,B": "which move: noise, tolerance, disturbance, parameters (default: all)",
+        "--safety F": "factor on the smallest bounds (default: 1.25)",
+        "--calibrate F": "share of the data kept out of the search (default: 1/3)",
+        "--plot PNG": "picture of the search and of the margins",
+        **FORCE,
+        **JSON,
+    },
+    {"steps": whole_number(0, 10**7), "safety": decimal, "calibrate": share},
+    {"faulty": [], "safety": 1.25, "calibrate": 1 / 3},
+    ("out",),
+    {"method": ("joint", OBSERVER)},
+)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -131,12 +93,10 @@ def run(args: argparse.Namespace) -> int:
         import numpy as np
 
         from jaxbound.cli.tune_summary import (
+            FactorConclusion,
+            TuneConclusion,
             is_unfinished,
             optimizer,
-            plain_factors,
-            plain_tuning,
-            show_factors,
-            show_tuning,
             tuned_text,
         )
         from jaxbound.cli.window import recorded, stated_model, window_relations
@@ -198,18 +158,10 @@ def run(args: argparse.Namespace) -> int:
                 f.write(to_png(plot_tuning(tuning)))
     hints = notes + [f"{file}: {hint}" for file, r in zip(files, recordings, strict=True) for hint in r.hints]
     if isinstance(tuning, MonitorTuneResult):
-        if args.json:
-            write(json_text(plain_factors(tuning, args.out, hints)))
-        else:
-            show_factors(tuning, [str(args.out)], hints)
+        FactorConclusion(tuning, written=[args.out], hints=hints).show(args.json)
         return OK
-    if args.json:
-        write(json_text(plain_tuning(tuning, args.out, hints)))
-    else:
-        written = [str(args.out)]
-        if args.plot:
-            written.append(str(args.plot))
-        show_tuning(tuning, args.healthy, written, hints)
+    written = list(filter(None, (args.out, args.plot)))
+    TuneConclusion(tuning, args.healthy, written=written, hints=hints).show(args.json)
     if tuning.stopped:
         say(
             f"stopped after {tuning.steps} of {steps} steps: {args.out} has the best bounds until then; "

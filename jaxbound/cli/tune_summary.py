@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,26 +11,19 @@ import jax
 import numpy as np
 
 from jaxbound.cli.fit_summary import promise
-from jaxbound.cli.terminal import show
+from jaxbound.cli.terminal import Conclusion, Row, Table
 from jaxbound.models.modelfile import changed_text, number_text
 from jaxbound.studies.tuning.tuning import MonitorTuneResult, TuneResult
 
 if TYPE_CHECKING:
     from optax import GradientTransformation
 
-__all__ = [
-    "OPTIMIZERS",
-    "is_unfinished",
-    "optimizer",
-    "plain_factors",
-    "plain_tuning",
-    "show_factors",
-    "show_tuning",
-    "tuned_text",
-]
+__all__ = ["FactorConclusion", "OPTIMIZERS", "TuneConclusion", "is_unfinished", "optimizer", "tuned_text"]
 
 OPTIMIZERS = ("adam", "adabelief", "adagrad", "lion", "nadam", "rmsprop", "sgd", "yogi")
 MARK = b"# The search was interrupted: the same command goes on and replaces this file. %s\n"
+TUNED = "scale factor left_out safety bounds smallest start steps stopped caught notes".split()
+"""Fields of a `TuneResult` that JSON has as they are."""
 RATE = 0.1  # of the first step, on the logarithms of the bounds
 
 
@@ -72,121 +66,139 @@ def optimizer(name: str, steps: int) -> "GradientTransformation | None":
     return getattr(optax, name)(optax.cosine_decay_schedule(RATE, steps))
 
 
-def plain_tuning(tuning: TuneResult, out: Path, hints: Sequence[str]) -> dict[str, Any]:
-    """Return tuned bounds as JSON has them."""
-    risk = tuning.risk
-    return {
-        "out": str(out),
-        "horizon": tuning.relations.horizon,
-        "scale": tuning.scale,
-        "factor": tuning.factor,
-        "left_out": list(tuning.left_out),
-        "safety": tuning.safety,
-        "bounds": tuning.bounds,
-        "smallest": tuning.smallest,
-        "start": tuning.start,
-        "steps": tuning.steps,
-        "stopped": tuning.stopped,
-        "healthy": tuning.counts,
-        "faulty": tuning.faulty_counts,
-        "caught": tuning.caught,
-        "least_margin": float(np.nanmin(tuning.margin)),
-        "risk": {
-            "blocks": risk.blocks,
-            "windows_in_a_block": risk.length,
-            "average": risk.average,
-            "rate": risk.rate,
-            "confidence": risk.confidence,
-            "guide_only": risk.guide,
-            "text": risk.text,
-        },
-        "notes": list(tuning.notes),
-        "hints": list(hints),
-    }
+@dataclass(frozen=True)
+class FactorConclusion(Conclusion):
+    """The conclusion of a monitor's search: a factor for each test."""
+
+    tuning: MonitorTuneResult
+
+    @property
+    def headline(self) -> str:
+        """The name of the model."""
+        return f"{self.tuning.model.name}: one factor a test"
+
+    def plain(self) -> dict[str, Any]:
+        """Return the factors, and of each test that watches something what it rests on."""
+        tuning = self.tuning
+        tests: dict[str, dict[str, Any]] = {}
+        for name, factor in tuning.factors.items():
+            tests[name] = {"start": float(tuning.start[name]), "factor": float(factor)}
+            one = tuning.tests.get(name)
+            if one is not None:
+                tests[name] |= {
+                    "scale": one.scale,
+                    "left_out": one.left_out,
+                    "healthy": one.counts,
+                    "faulty": one.faulty_counts,
+                    "caught": one.caught,
+                    "text": one.statement,
+                }
+        return {
+            "out": str(self.written[0]),
+            "tests": tests,
+            "healthy": tuning.counts,
+            "faulty": tuning.faulty_counts,
+            "caught": tuning.caught,
+            "notes": tuning.notes,
+            "hints": self.hints,
+        }
+
+    def table(self) -> Table:
+        """Return the factors of each test."""
+        tuning = self.tuning
+        table = [("test", "factor", "smallest", "left out", "written", "healthy", "caught")]
+        for name, factor in tuning.factors.items():
+            one = tuning.tests.get(name)
+            start, new = f"{float(tuning.start[name]):.6g}", number_text(factor)
+            if one is None:
+                table.append((name, start, "", "", new, "it watches nothing", ""))
+                continue
+            smallest = f"{one.scale * float(tuning.start[name]):.6g}"
+            caught = ""
+            if one.caught is not None:
+                caught = f"{one.caught:.1%}"
+            healthy = _counts_text(one.counts)
+            table.append((name, start, smallest, f"{one.factor:.3g}", new, healthy, caught))
+        return table
+
+    def rows(self) -> list[Row]:
+        """Return the counts of all tests together."""
+        return _counted_rows(self.tuning, "samples, by the monitor") + _notes(self.tuning)
 
 
-def plain_factors(tuning: MonitorTuneResult, out: Path, hints: Sequence[str]) -> dict[str, Any]:
-    """Return the factors of a monitor's tests as JSON has them."""
-    tests: dict[str, dict[str, Any]] = {}
-    for name, factor in tuning.factors.items():
-        tests[name] = {"start": float(tuning.start[name]), "factor": float(factor)}
-        one = tuning.tests.get(name)
-        if one is not None:
-            tests[name] |= {
-                "scale": one.scale,
-                "left_out": list(one.left_out),
-                "healthy": one.counts,
-            }
-            tests[name] |= {"faulty": one.faulty_counts, "caught": one.caught, "text": one.statement}
-    return {
-        "out": str(out),
-        "tests": tests,
-        "healthy": tuning.counts,
-        "faulty": tuning.faulty_counts,
-        "caught": tuning.caught,
-        "notes": list(tuning.notes),
-        "hints": list(hints),
-    }
+@dataclass(frozen=True)
+class TuneConclusion(Conclusion):
+    """The conclusion of a search for bounds. Fields: tuning; healthy: the files they were tuned to."""
+
+    tuning: TuneResult
+    healthy: Sequence[Path]
+
+    @property
+    def headline(self) -> str:
+        """The name of the model."""
+        return f"{self.tuning.model.name}: bounds tuned"
+
+    def plain(self) -> dict[str, Any]:
+        """Return the bounds that were found, and what they rest on."""
+        tuning, risk = self.tuning, self.tuning.risk
+        return {
+            "out": str(self.written[0]),
+            "horizon": tuning.relations.horizon,
+            **{name: getattr(tuning, name) for name in TUNED},
+            "healthy": tuning.counts,
+            "faulty": tuning.faulty_counts,
+            "least_margin": float(np.nanmin(tuning.margin)),
+            "risk": {
+                "blocks": risk.blocks,
+                "windows_in_a_block": risk.length,
+                "average": risk.average,
+                "rate": risk.rate,
+                "confidence": risk.confidence,
+                "guide_only": risk.guide,
+                "text": risk.text,
+            },
+            "hints": self.hints,
+        }
+
+    def table(self) -> Table:
+        """Return the bounds that moved."""
+        return [("bound", "start", "smallest", "written"), *_moved_bounds(self.tuning)]
+
+    def rows(self) -> list[Row]:
+        """Return the counts and factors that the bounds rest on."""
+        tuning = self.tuning
+        reason = "no smaller ones in this direction explain the healthy data"
+        safety = f"{tuning.safety:g} times these bounds"
+        if tuning.safety <= 1:
+            safety += " (none)"
+        window = f"windows of {tuning.relations.horizon + 1} samples, by the proved test"
+        if tuning.relations.remembers:
+            window = "samples, by the observer"
+        rows = [("scale", f"{tuning.scale:.9g} times the starting bounds: {reason}")]
+        for file, factor in zip(self.healthy, tuning.left_out, strict=False):  # a single one is not left out
+            text = "unknown: it, or the others, hold no window"
+            if np.isfinite(factor):
+                text = f"{factor:.3g} times the smallest bounds of the others"
+            rows.append((f"left out: {file}", text))
+        known = int(np.isfinite(tuning.left_out).sum())
+        if known:
+            rows.append(("promise", promise(tuning.factor, known)))
+        rows.append(("safety", safety))
+        rows += _counted_rows(tuning, window)
+        rows += [("steps", str(tuning.steps)), ("elsewhere", tuning.statement)]
+        return rows + _notes(tuning)
 
 
-def show_factors(tuning: MonitorTuneResult, written: Sequence[str], hints: Sequence[str]) -> None:
-    """Print the factors of a monitor's tests. written: names of new files."""
-    table = [("test", "factor", "smallest", "left out", "written", "healthy", "caught")]
-    for name, factor in tuning.factors.items():
-        one = tuning.tests.get(name)
-        start, new = f"{float(tuning.start[name]):.6g}", number_text(factor)
-        if one is None:
-            table.append((name, start, "", "", new, "it watches nothing", ""))
-            continue
-        smallest = f"{one.scale * float(tuning.start[name]):.6g}"
-        caught = ""
-        if one.caught is not None:
-            caught = f"{one.caught:.1%}"
-        table.append((name, start, smallest, f"{one.factor:.3g}", new, _counts_text(one.counts), caught))
-    rows = [("healthy", f"{_counts_text(tuning.counts)} samples, by the monitor")]
+def _counted_rows(tuning: TuneResult | MonitorTuneResult, what: str) -> list[Row]:
+    """Return the counts of the healthy recordings, and of the faulty ones. what: is counted."""
+    rows = [("healthy", f"{_counts_text(tuning.counts)} {what}")]
     if tuning.faulty_counts:
         rows.append(("faulty", f"{_counts_text(tuning.faulty_counts)}: {tuning.caught:.1%} proved faulty"))
-    rows.append(("written", " and ".join(written)))
-    rows += [("note", note) for note in tuning.notes]
-    rows += [("hint", hint) for hint in hints]
-    show(f"{tuning.model.name}: one factor a test", "bold", rows, table=table)
+    return rows
 
 
-def show_tuning(
-    tuning: TuneResult, healthy: Sequence[Path], written: Sequence[str], hints: Sequence[str]
-) -> None:
-    """Print tuned bounds. healthy: the files they were tuned to. written: names of new files."""
-    reason = "no smaller ones in this direction explain the healthy data"
-    safety = f"{tuning.safety:g} times these bounds"
-    if tuning.safety <= 1:
-        safety += " (none)"
-    window = f"windows of {tuning.relations.horizon + 1} samples, by the proved test"
-    if tuning.relations.remembers:
-        window = "samples, by the observer"
-    rows = [("scale", f"{tuning.scale:.9g} times the starting bounds: {reason}")]
-    for file, factor in zip(healthy, tuning.left_out, strict=False):  # a single one is not left out
-        text = "unknown: it, or the others, hold no window"
-        if np.isfinite(factor):
-            text = f"{factor:.3g} times the smallest bounds of the others"
-        rows.append((f"left out: {file}", text))
-    known = int(np.isfinite(tuning.left_out).sum())
-    if known:
-        rows.append(("promise", promise(tuning.factor, known)))
-    rows += [
-        ("safety", safety),
-        ("healthy", f"{_counts_text(tuning.counts)} {window}"),
-    ]
-    if tuning.faulty_counts:
-        rows.append(("faulty", f"{_counts_text(tuning.faulty_counts)}: {tuning.caught:.1%} proved faulty"))
-    rows += [
-        ("steps", str(tuning.steps)),
-        ("written", " and ".join(written)),
-        ("elsewhere", tuning.statement),
-    ]
-    rows += [("note", note) for note in tuning.notes]
-    rows += [("hint", hint) for hint in hints]
-    table = [("bound", "start", "smallest", "written"), *_moved_bounds(tuning)]
-    show(f"{tuning.model.name}: bounds tuned", "bold", rows, table=table)
+def _notes(tuning: TuneResult | MonitorTuneResult) -> list[Row]:
+    return [("note", note) for note in tuning.notes]
 
 
 def _counts_text(counts: Mapping[str, int]) -> str:

@@ -4,7 +4,7 @@ import argparse
 import json
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import add_every, path
+from jaxbound.cli.options import Options, every
 from jaxbound.cli.terminal import door, say, show
 
 NAME = "verify"
@@ -19,28 +19,16 @@ CODES = (
     "exit codes: 0 confirmed, 1 not confirmed: it proves nothing, or something else than of this model and "
     "these data, and the sentence says what differs; 2 bad input or usage"
 )
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options."""
-    parser.add_argument(
-        "certificate", type=path, metavar="CERTIFICATE.json", help="that jaxbound explain wrote"
-    )
-    parser.add_argument(
-        "--model",
-        type=path,
-        required=True,
-        metavar="MODEL.toml",
-        help="the plant and its bounds: DIR/tested_model.toml where options of the report changed its window",
-    )
-    parser.add_argument(
-        "--data",
-        type=path,
-        required=True,
-        metavar="DATA",
-        help="the recording: a CSV file, a Parquet file or a folder",
-    )
-    add_every(parser)
+OPTIONS = Options(
+    {
+        "certificate CERTIFICATE.json": "that jaxbound explain wrote",
+        "--model MODEL.toml": "the plant and its bounds: DIR/tested_model.toml where options of the report "
+        "changed its window",
+        "--data DATA": "the recording: a CSV file, a Parquet file or a folder",
+        **every(),
+    },
+    required=("model", "data"),
+)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,26 +1,19 @@
 """Alarms: FAULT windows grouped for people. Separate from the proof, which they never change."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
-
-import numpy as np
 
 from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.interface import Relations
-from jaxbound.diagnosis.alarmrule import AlarmRule
-from jaxbound.diagnosis.causes import Judged, diagnose
-from jaxbound.diagnosis.suspects import Suspect
-from jaxbound.diagnosis.watch import NO_DATA, NO_SAMPLE, Raised, Seen, alarms_in
+from jaxbound.diagnosis.causes import Explained, Judged, diagnose
+from jaxbound.diagnosis.watch import NO_DATA, NO_SAMPLE, Raised
 from jaxbound.models.named_faults import NamedFault
-from jaxbound.models.region import Region
-from jaxbound.recordings.sample_axis import Place
 from jaxbound.recordings.timestamps import label_text
-from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
 __all__ = [
@@ -30,9 +23,8 @@ __all__ = [
     "NO_LONGER",
     "ONSET_LEFT",
     "Alarm",
-    "alarms_of",
+    "ending_of",
     "forgets_after",
-    "group_alarms",
 ]
 
 ENDINGS = (
@@ -44,19 +36,8 @@ ENDINGS = (
     "a gap ended it, FAULT stays until one: repaired or lasting",
 )
 ONSET_LEFT, NO_LONGER, BEGAN_ANEW, GAP = ENDINGS[2:]
-Blame = Callable[[tuple[int, ...]], Suspect]
 LATCHED = -1
 """In place of the horizon of windows: an observer whose FAULT stays until a gap."""
-
-
-class Explained(Protocol):
-    """Verdicts whose windows are explained."""
-
-    def explain(self, at: Place) -> WindowCertificate:
-        """Return the certificate of the window that ends at a sample; of a batch `at` is a tuple."""
-
-    def when(self, k: int) -> object:
-        """Return the time of sample k; None: nothing tells it."""
 
 
 @runtime_checkable
@@ -190,80 +171,6 @@ class Alarm:
         return self.certificate.candidates
 
 
-def group_alarms(
-    result: Judged,
-    rule: AlarmRule,
-    horizon: int | None,
-    margin: np.ndarray | None = None,
-    counts: np.ndarray | None = None,
-    blame: Blame | None = None,
-    instants: np.ndarray | None = None,
-) -> list[Alarm]:
-    """Group the FAULT windows of a Result: see `Result.alarms`. Array operations over time; the loop is over
-    alarms.
-
-    Args:
-        rule: that is `fitted`.
-        horizon: of the windows; 0 where verdicts rest on all samples before, so that an onset leaves no
-            window; of an observer None, or LATCHED.
-        margin: (..., T), by which the worst window of an alarm is chosen; None: that of the result.
-        counts: (..., T) bool, the FAULT windows that the rule counts; None: all.
-        blame: the suspects of the FAULT window at an index; None: nothing tells them.
-        instants: (T,) times by which alarms are acknowledged; None: nobody does.
-    """
-    if margin is None:
-        margin = result.margin
-    if counts is None:
-        counts = result.status == Status.FAULT
-    alarms = []
-    for recording in np.ndindex(result.status.shape[:-1]):
-        if not counts[recording].any():
-            continue
-        departure, region, missing = result.departure, None, result.status[recording] == Status.MISSING
-        if departure is not None:
-            departure, region = departure.cut(recording), departure.region
-        seen = Seen.of(counts[recording], margin[recording], missing, departure, instants)
-        own = None
-        if blame is not None and rule.names:
-            own = partial(_blamed, blame, recording)
-        alarms += alarms_of(alarms_in(rule, seen, own), horizon, region, recording, result)
-    return alarms
-
-
-def _blamed(blame: Blame, recording: tuple[int, ...], sample: int) -> Suspect:
-    """Return the suspects of the FAULT window that ends at a sample of a recording."""
-    return blame((*recording, sample))
-
-
-def alarms_of(
-    raised: Sequence[Raised],
-    horizon: int | None,
-    region: Region | None = None,
-    recording: tuple[int, ...] = (),
-    result: Explained | None = None,
-    tests: Sequence[str] = (),
-) -> list[Alarm]:
-    """Return the Alarms of those that are over.
-
-    Args:
-        horizon: as for `_ending`. region: of training; None: there is none. tests: that speak where they are
-            worst; empty: there are none.
-    """
-    alarms = []
-    for number, one in enumerate(raised):
-        outside, words, test = None, "", ""
-        if region is not None:
-            outside = one.outside
-            if one.share > 0:
-                words = region.words(one.by, one.reading)
-        if tests:
-            test = tests[number]
-        ended, (names, size, _, cause) = one.ended or _ending(one, horizon), one.suspect
-        about = recording, result, ended, outside, words, names, size, test, cause
-        alarms.append(Alarm(one.start, one.end, one.windows, one.depth, one.worst, *about))
-    return alarms
-
-
 def forgets_after(relations: Relations) -> int | None:
     """Return how many samples after an onset no window of relations holds it any more: their horizon.
 
@@ -283,7 +190,7 @@ def forgets_after(relations: Relations) -> int | None:
     return relations.horizon
 
 
-def _ending(raised: Raised, horizon: int | None) -> str:
+def ending_of(raised: Raised, horizon: int | None) -> str:
     """Return why an alarm is over, one of ENDINGS.
 
     Args:

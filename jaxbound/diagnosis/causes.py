@@ -15,33 +15,45 @@ from jaxbound.models.region import Departure
 from jaxbound.recordings.sample_axis import Place
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Judged", "diagnose"]
+__all__ = ["Explained", "Judged", "Verdicts", "diagnose"]
 
 MOST = 5
 """Windows of an alarm that a cause has to explain: what no window excludes costs the most."""
 
 
-@runtime_checkable
-class Judged(Protocol):
-    """Verdicts of a recording whose windows are grouped and explained, as a Result has them."""
+class Verdicts(Protocol):
+    """The verdicts of some samples: a Result, a Judged, or anything else with a status of each.
+
+    Fields: status: (..., T) int8, see `Status`; margin: (..., T); departure: (..., T) from the region of
+    training, None: it is not known.
+    """
 
     @property
     def status(self) -> np.ndarray:
-        """(..., T)."""
+        """Of each sample."""
 
     @property
     def margin(self) -> np.ndarray:
-        """(..., T)."""
+        """Of each sample, NaN where there is none."""
 
     @property
     def departure(self) -> Departure | None:
-        """(..., T), from the region of training; None: it is not known."""
+        """Of each sample."""
+
+
+class Explained(Protocol):
+    """Verdicts whose windows are explained."""
 
     def explain(self, at: Place) -> WindowCertificate:
         """Return the certificate of the window that ends at a sample; of a batch `at` is a tuple."""
 
     def when(self, k: int) -> object:
         """Return the time of sample k; None: nothing tells it."""
+
+
+@runtime_checkable
+class Judged(Verdicts, Explained, Protocol):
+    """Verdicts of a recording whose windows are grouped and explained, as a Result has them."""
 
 
 def diagnose(

@@ -478,7 +478,7 @@ def row_widths(model: LinearSystem, rows: WindowRows, reach: Sequence[Fraction])
         rho = model.noise[i] + rounded[i] + floor
         of_output.append(2 * (rho + tolerance * max(reach[i], rho)) / (1 - tolerance * tolerance))
     of_disturbance = [hi - lo + 2 * floor for lo, hi in model.disturbance]
-    bounds = [bounded.bound for bounded in window.bounded_sums(model)]
+    bounds = [bounded.bound for bounded in model.averages]
     widths = []
     for row in rows:
         if row.kind is Kind.READING:

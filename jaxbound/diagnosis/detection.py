@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, refuse_outside, unclaimed
+from jaxbound.consistency.claims import CLAIMED, refuse_outside
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import (
     AUTO,
@@ -20,11 +20,9 @@ from jaxbound.consistency.interface import (
     window_count,
     with_margins,
 )
-from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis import isolation, monitored, observed  # noqa: F401 (the Results of their kinds)
 from jaxbound.diagnosis.monitoring import Watchable, monitor
-from jaxbound.diagnosis.result import Result, result_of
-from jaxbound.models.region import Region
+from jaxbound.diagnosis.result import Result, found_by
 from jaxbound.recordings.table import Data
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import refuse_unusable
@@ -103,29 +101,7 @@ def detect(
         judged = drive(test, recording, report)
     if (judged.status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
         recording.finite()
-    region = Region.of(named)
-    if region is not None and outside == UNCLAIMED:
-        missing = judged.status == Status.MISSING
-        judged = unclaimed(judged, region.departure(recording.u, missing))
-    starts, recorded = tuple(recording.starts.tolist()), None
-    if recording.source:
-        recorded = recording.hints
-    result = Result(
-        judged.status,
-        judged.margin,
-        test.method,
-        test.relations,
-        recording.u,
-        recording.y,
-        recording.index,
-        starts,
-        aside=recording.aside(test.horizon),
-        recorded=recorded,
-        device=judging_device(named.remembers),
-        margins=test.margins_are,
-        outside_is=outside,
-    )
-    return result_of(relations, judged, result)
+    return found_by(test, recording, judged, outside, relations)
 
 
 def margins(relations: Relations, u: Data, y: Data = None, starts: Starts = ()) -> jax.Array:

@@ -170,20 +170,15 @@ def fit_hints(result: Reported) -> list[str]:
     fit.
     """
     relations, sentences = result.relations, []
-    if relations.latched:  # one fault, and all that follows is FAULT
-        return []
-    what = "windows"
-    if relations.remembers:
-        what = "samples"
     for at in np.ndindex(result.status.shape[:-1]):
         status, margin = np.asarray(result.status[at]), np.asarray(result.margin[at])
         beyond = result.beyond_of(at)
         counts = {s.name: int(np.count_nonzero(status == s)) for s in Status}
         measured = (status == Status.FAULT) & ~np.isnan(margin)
         worst = np.nan
-        if measured.any() and not relations.remembers and unfit(counts, worst):
+        if measured.any() and unfit_by(relations, counts, worst, None):
             worst = float(result.reported[at][measured].min())
-        for sentence in unfit(counts, worst, what, beyond):
+        for sentence in unfit_by(relations, counts, worst, beyond):
             if at:
                 sentence = f"recording {', '.join(map(str, at))}: {sentence}"
             sentences.append(sentence)

@@ -11,10 +11,7 @@ import numpy as np
 from jaxbound.certificates.interface import WindowCertificate, nothing_to_explain
 from jaxbound.consistency.interface import EXACT, Judged
 from jaxbound.consistency.monitorbank import MonitorBank, combined
-from jaxbound.diagnosis.alarmrule import AlarmRule
-from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.diagnosis.result import Result, result_of
-from jaxbound.diagnosis.suspects import UNKNOWN, Suspect, nameless
+from jaxbound.diagnosis.result import Result, found_by, result_of
 from jaxbound.diagnosis.units import unit_hints
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.sample_axis import Place
@@ -90,49 +87,26 @@ class MonitorResult(Result):
         if self.margins != EXACT:
             kind = test.margins_are
         judged = Judged(self.statuses[..., number], self.test_margins[..., number])
-        result = Result(
-            *judged[:2],
-            test.method,
-            test.relations,
-            u,
-            y,
-            self.index,
-            starts,
-            recorded=self.recorded,
-            device=self.device,
-            margins=kind,
-            outside_is=self.outside_is,
-            apart=apart,
-        )
-        return result_of(relations, judged, result)
+        recording = Recording(u, y, np.array(starts, np.int64), index=self.index)
+        result = found_by(test, recording, judged, self.outside_is, relations)
+        return replace(result, recorded=self.recorded, device=self.device, margins=kind, apart=apart)
 
     def test_at(self, at: Place) -> str:
         """Return the name of the test that speaks at a sample, see `explain`; "" where none does."""
         return ("", *self.names)[int(self.by[self._place(at)]) + 1]
 
-    def alarms(
-        self, k: int = 1, n: int = 1, hold: int = 0, clear: int = 1, rule: AlarmRule | None = None
-    ) -> list[Alarm]:
-        """Group FAULT samples into alarms, as a Result does; `test` of each is the name of the test that
-        speaks at its worst sample.
-
-        Args, Returns, Raises: as `Result.alarms`.
-        """
-        named = []
-        for alarm in super().alarms(k, n, hold, clear, rule):
-            named.append(replace(alarm, test=self.test_at((*alarm.recording, alarm.worst))))
-        return named
-
-    def _blamed(self, at: tuple[int, ...]) -> Suspect:
-        """Return the suspects of the FAULT at an index, of the test that speaks."""
-        if nameless(self.relations.watches[self.by[at]].relations):
-            return UNKNOWN
-        return super()._blamed(at)
-
-    def _speaking(self, at: tuple[int, ...]) -> np.ndarray:
-        """Return the numbers of the tests that speak in one recording, (T,)."""
-        speaking: np.ndarray = self.by[at]
-        return speaking
+    def judged(self, at: tuple[int, ...] | slice = ()) -> Judged:
+        """Return the verdicts of one recording, or of some samples, with those of each test."""
+        return (
+            super()
+            .judged(at)
+            ._replace(
+                by=self.by[at],
+                names=self.names,
+                statuses=self.statuses[at],
+                test_margins=self.test_margins[at],
+            )
+        )
 
     def measured(self, where: np.ndarray) -> np.ndarray:
         """Return the margins (..., T) with exact ones where (..., T) bool says."""
@@ -144,8 +118,9 @@ class MonitorResult(Result):
         exact = np.empty_like(self.margin)
         bank: MonitorBank = self.relations
         for at in np.ndindex(*self.status.shape[:-1]):
-            about = bank.conditions_of, bank.modes_of(np.asarray(self.u)[at]), bank.complete
-            exact[at] = combined(self.statuses[at], margins[at], *about).margin
+            modes = bank.modes_of(np.asarray(self.u)[at])
+            together = combined(self.statuses[at], margins[at], bank.conditions_of, modes, bank.complete)
+            exact[at] = together.margin
         return np.where(where, exact, self.margin)
 
     @cached_property

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxbound.consistency.claims import CLAIMED
+from jaxbound.files.checkpoint import as_texts, from_texts
 from jaxbound.models.region import Departure, Region
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
@@ -82,15 +83,10 @@ class Excursions:
     """
 
     def __init__(self, region: Region) -> None:
-        count = len(region.inputs)
+        shape = len(KINDS), len(region.inputs)
         self.region = region
-        self.counts: list[list[int]] = []
-        self.shares: list[list[float]] = []
-        self.readings: list[list[float]] = []
-        for _ in KINDS:
-            self.counts.append([0] * count)
-            self.shares.append([0.0] * count)
-            self.readings.append([np.nan] * count)
+        self.counts, self.shares = np.zeros(shape, np.int64), np.zeros(shape)
+        self.readings = np.full(shape, np.nan)
 
     def add(self, status: np.ndarray, margin: np.ndarray, departure: Departure) -> None:
         """Count windows, (..., T) each."""
@@ -108,14 +104,14 @@ class Excursions:
         for j in np.unique(departure.by).tolist():
             own = departure.cut(departure.by == j)
             farthest = int(np.argmax(own.share))
-            self.counts[kind][j] += len(own.share)
-            if own.share[farthest] > self.shares[kind][j]:
-                self.shares[kind][j] = float(own.share[farthest])
-                self.readings[kind][j] = float(own.reading[farthest])
+            self.counts[kind, j] += len(own.share)
+            if own.share[farthest] > self.shares[kind, j]:
+                self.shares[kind, j] = own.share[farthest]
+                self.readings[kind, j] = own.reading[farthest]
 
     def total(self, outside: str = CLAIMED) -> Outside:
         """Return the numbers. outside: what FAULT there is called, see `detect`."""
-        windows, faults, unclaimed = map(sum, self.counts)
+        windows, faults, unclaimed = self.counts.sum(1).tolist()
         if outside == CLAIMED:
             unclaimed = 0
         kind = ALL
@@ -126,16 +122,17 @@ class Excursions:
         order = np.argsort(self.counts[kind], kind="stable")[::-1].tolist()
         inputs, words = {}, ""
         for j in order:
-            if self.counts[kind][j]:
-                inputs[self.region.inputs[j]] = self.counts[kind][j]
+            if self.counts[kind, j]:
+                inputs[self.region.inputs[j]] = int(self.counts[kind, j])
         if inputs:
-            words = self.region.words(order[0], self.readings[kind][order[0]])
+            words = self.region.words(order[0], float(self.readings[kind, order[0]]))
         return Outside(windows, faults, unclaimed, inputs, words)
 
-    def memory(self) -> dict[str, Any]:
+    def memory(self) -> list[str]:
         """Return the counts as JSON holds them."""
-        return {name: value for name, value in vars(self).items() if name != "region"}
+        return as_texts((self.counts, self.shares, self.readings))
 
-    def resume(self, memory: dict[str, Any]) -> None:
+    def resume(self, memory: list[str]) -> None:
         """Go on from a memory."""
-        vars(self).update(memory)
+        kept = from_texts((self.counts, self.shares, self.readings), memory)
+        self.counts, self.shares, self.readings = map(np.copy, kept)

@@ -1,6 +1,6 @@
 """The result of a detection: verdicts of all windows, and what they are of."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial, singledispatch
 from typing import TYPE_CHECKING, Any, cast
@@ -9,21 +9,23 @@ import numpy as np
 
 from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.interface import WindowCertificate, explain
-from jaxbound.consistency.claims import CLAIMED
-from jaxbound.consistency.interface import EXACT, Judged
+from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, unclaimed
+from jaxbound.consistency.interface import EXACT, Judged, Observer, WindowTest
+from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
-from jaxbound.diagnosis.alarms import Alarm, forgets_after, group_alarms
+from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.causes import diagnose
 from jaxbound.diagnosis.hints import bound_hints, device_hints, fit_hints
 from jaxbound.diagnosis.measuring import exact_margins, tightest
 from jaxbound.diagnosis.region import Excursions, Outside
-from jaxbound.diagnosis.severity import Severity, fitted
-from jaxbound.diagnosis.suspects import Suspect, nameless, suspect_of
+from jaxbound.diagnosis.severity import fitted
 from jaxbound.diagnosis.units import unit_hints
+from jaxbound.diagnosis.watching import Watching
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.region import Departure, Region
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import missing_hints, rounding_hints
+from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.sample_axis import Labels, Place, place_of
 from jaxbound.recordings.stillness import still_hints
 from jaxbound.recordings.tabletime import instants_of
@@ -35,7 +37,7 @@ from jaxbound.text.objects import readable
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Result", "result_of", "suspected"]
+__all__ = ["Result", "found_by", "result_of", "suspected"]
 
 
 def suspected(status: np.ndarray, margin: np.ndarray) -> np.ndarray:
@@ -278,44 +280,30 @@ class Result:
             rule = given
         elif given != EVERY_FAULT:
             raise ValueError("an alarm rule says k, n, hold and clear itself: give the rule alone")
-        horizon: int | None = 0  # of residuals that a user worked out nothing is known
+        dt = None
         if self.relations is not None:
-            horizon = forgets_after(self.relations)
-            rule = fitted(rule, self.relations)
+            rule, dt = fitted(rule, self.relations), self.relations.model.dt
         elif rule.suspects or rule.least is not None:
             raise ValueError(
                 "residuals that were computed elsewhere tell no errors of sensors: leave out suspects and "
                 "least"
             )
-        blame = None
-        if self.relations is not None and not nameless(self.relations):
-            blame = self._blamed
         instants = None
         if rule.acknowledgements.is_given:
-            dt = None
-            if self.relations is not None:
-                dt = self.relations.model.dt
             instants = instants_of(self.index, self.status.shape[-1], dt)
-        return group_alarms(self, rule, horizon, self.reported, self._counted(rule), blame, instants)
+        alarms: list[Alarm] = []
+        for at in np.ndindex(self.status.shape[:-1]):
+            if (self.status[at] == Status.FAULT).any():
+                watching = Watching(rule, self.relations, self.method, self.u[at], self.y[at])
+                alarms += watching.whole(self.judged(at), instants, self, at)
+        return alarms
 
-    def _blamed(self, at: tuple[int, ...]) -> Suspect:
-        """Return the suspects of the FAULT window at an index."""
-        return suspect_of(self.explain, at)
-
-    def _counted(self, rule: AlarmRule) -> np.ndarray | None:
-        """Return the FAULT windows that a rule counts, (..., T) bool; None: all."""
-        if rule.least is None:
-            return None
-        counts = np.zeros(self.status.shape, bool)
-        severity = Severity(self.relations, self.method, cast(Mapping[str, float], rule.least))
-        for at in np.ndindex(counts.shape[:-1]):
-            fault = self.status[at] == Status.FAULT
-            counts[at] = severity.reached(self.u[at], self.y[at], fault, self._speaking(at))
-        return counts
-
-    def _speaking(self, at: tuple[int, ...]) -> np.ndarray | None:
-        """Return the numbers of the tests that speak in one recording, (T,), of a monitor."""
-        return None
+    def judged(self, at: tuple[int, ...] | slice = ()) -> Judged:
+        """Return the verdicts of one recording, or of some samples, as alarms and files report them: margins
+        of FAULT windows are exact.
+        """
+        departure = self.departure and self.departure.cut(at)
+        return Judged(self.status[at], self.reported[at], departure=departure)
 
     def when(self, k: int) -> object:
         """Return the time of sample k as the index has it: a Timestamp, a datetime64, seconds; None: there is
@@ -431,3 +419,36 @@ def result_of(family: object, judged: Judged, result: Result) -> Result:
         family: as given to `detect`. judged: the verdicts. result: of them.
     """
     return result
+
+
+def found_by(
+    test: WindowTest | Observer[Any], recording: Recording, judged: Any, outside: str, given: object
+) -> Result:
+    """Return the Result of verdicts, of the kind that the relations have which a user gave.
+
+    Args:
+        test: that judged. judged: its verdicts of a recording. outside: see `detect`.
+    """
+    region = Region.of(test.relations)
+    if region is not None and outside == UNCLAIMED:
+        missing = judged.status == Status.MISSING
+        judged = unclaimed(judged, region.departure(recording.u, missing))
+    recorded = None
+    if recording.source:
+        recorded = recording.hints
+    result = Result(
+        judged.status,
+        judged.margin,
+        test.method,
+        test.relations,
+        recording.u,
+        recording.y,
+        recording.index,
+        tuple(recording.starts.tolist()),
+        aside=recording.aside(test.horizon),
+        recorded=recorded,
+        device=judging_device(test.remembers),
+        margins=test.margins_are,
+        outside_is=outside,
+    )
+    return result_of(given, judged, result)

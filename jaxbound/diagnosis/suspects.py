@@ -8,22 +8,20 @@ one that is named. That is no proof; it speaks for a repair, and changes no verd
 """
 
 import math
-from collections.abc import Callable
 from fractions import Fraction
-from functools import partial
 from itertools import accumulate
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
 from jaxbound.certificates.certificate import Certificate
-from jaxbound.certificates.interface import WindowCertificate, explain
+from jaxbound.certificates.interface import WindowCertificate, certify
 from jaxbound.consistency.interface import Relations
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["UNKNOWN", "Suspect", "nameless", "suspect_of", "suspect_of_window", "tells_causes"]
+__all__ = ["UNKNOWN", "Suspect", "nameless", "suspect_of_window", "tells_causes"]
 
 READINGS = 64  # in a window, from which on exact errors of single sensors take too long: 122 take a minute
 ALIKE = 2  # jumps are about as large if neither error is more than so many times the other
@@ -85,10 +83,10 @@ def nameless(relations: Relations) -> str:
     return ""
 
 
-def suspect_of(explain: Callable[[Any], WindowCertificate], at: object) -> Suspect:
-    """Return the suspects of the FAULT window at an index, which `explain` certifies."""
+def suspect_of_window(relations: Relations, method: str, u: np.ndarray, y: np.ndarray) -> Suspect:
+    """Return the suspects of the FAULT window that samples u (s+1, m), y (s+1, p) are."""
     try:
-        certificate = explain(at)
+        certificate = certify(relations, u, y, method, Status.FAULT)
     except NotImplementedError:  # no proof by one relation
         return UNKNOWN
     names, cause = certificate.candidates, _cause(certificate)
@@ -102,14 +100,6 @@ def suspect_of(explain: Callable[[Any], WindowCertificate], at: object) -> Suspe
     return Suspect(names, float(errors[names[0]]), jump, cause)
 
 
-def suspect_of_window(relations: Relations, method: str, u: np.ndarray, y: np.ndarray) -> Suspect:
-    """Return the suspects of the FAULT window that samples u (s+1, m), y (s+1, p) are."""
-    status = np.full(len(y), int(Status.MISSING), np.int8)
-    status[-1] = Status.FAULT
-    window = _Window(status, np.full(len(y), np.nan), relations, method, u, y)
-    return suspect_of(partial(explain, window), (len(y) - 1,))
-
-
 def tells_causes(model: SignalModel) -> bool:
     """Whether a model names the faults that may be the cause of an alarm."""
     return isinstance(model, LinearSystem) and bool(model.faults)
@@ -120,17 +110,6 @@ def _cause(certificate: WindowCertificate) -> str:
     if not tells_causes(cast(Certificate, certificate).window.model):
         return ""
     return certificate.diagnose().first
-
-
-class _Window(NamedTuple):
-    """One window as a `certificates.interface.Judgement`."""
-
-    status: np.ndarray
-    margin: np.ndarray
-    relations: Any
-    method: str
-    u: np.ndarray
-    y: np.ndarray
 
 
 def _jump(certificate: Certificate, i: int) -> int:

@@ -30,7 +30,6 @@ __all__ = [
     "Raised",
     "Seen",
     "Watch",
-    "alarms_in",
     "often",
 ]
 
@@ -40,8 +39,10 @@ LASTING = "open at the end: nothing speaks for a repair"
 BEGINS, ENDS = "begins", "ends"
 NUMBER = attrgetter("number")
 NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
-Blame = Callable[[int], Suspect]
-"""The suspects of the FAULT window that ends at a sample."""
+Blame = Callable[[int, int], Suspect]
+"""The suspects of the FAULT window that ends at a sample; of a monitor with the number of the test that
+speaks there.
+"""
 
 
 class Seen(NamedTuple):
@@ -49,7 +50,7 @@ class Seen(NamedTuple):
 
     Fields: fault: bool, windows that count. margin. missing: bool. share, by, reading: of the departure from
     the region of training; share is 0 where there is none. instant: the time in s by which alarms are
-    acknowledged, see `Recording.instants`.
+    acknowledged, see `Recording.instants`. test: the number of the test of a monitor that speaks, -1: none.
     """
 
     fault: np.ndarray
@@ -59,6 +60,7 @@ class Seen(NamedTuple):
     by: np.ndarray
     reading: np.ndarray
     instant: np.ndarray
+    test: np.ndarray
 
     @classmethod
     def of(
@@ -68,17 +70,20 @@ class Seen(NamedTuple):
         missing: np.ndarray,
         departure: Departure | None = None,
         instant: np.ndarray | None = None,
+        test: np.ndarray | None = None,
     ) -> "Seen":
         """Return the samples. departure: from the region of training; instant: nobody acknowledges without
-        it; None: not known.
+        it; test: of a monitor; None: not known.
         """
-        nowhere = np.zeros(len(fault))
+        share = by = reading = np.zeros(len(fault))
+        if departure is not None:
+            share = np.where(fault & (departure.share > 0), departure.share, 0.0)
+            by, reading = departure.by, departure.reading
         if instant is None:
             instant = np.full(len(fault), np.nan)
-        if departure is None:
-            return cls(fault, margin, missing, nowhere, nowhere, nowhere, instant)
-        share = np.where(fault & (departure.share > 0), departure.share, 0.0)
-        return cls(fault, margin, missing, share, departure.by, departure.reading, instant)
+        if test is None:
+            test = np.full(len(fault), -1)
+        return cls(fault, margin, missing, share, by, reading, instant, test)
 
     def cut(self, first: int, stop: int | None = None) -> "Seen":
         """Return the samples from one on, up to another."""
@@ -98,7 +103,7 @@ class Seen(NamedTuple):
 
 
 NOTHING = Seen.of(np.zeros(0, bool), np.zeros(0), np.zeros(0, bool))
-KINDS = bool, float, bool, float, float, float, float  # of the fields of Seen
+KINDS = bool, float, bool, float, float, float, float, int  # of the fields of Seen
 
 
 class Raised(NamedTuple):
@@ -107,7 +112,8 @@ class Raised(NamedTuple):
     Fields: start, end, windows, depth, worst: as of an Alarm; first, last: the first and last FAULT window
     that made it. after: what follows it, NO_SAMPLE, NO_DATA or OTHER. sure: the sample at which it is known
     to be over. outside: how many of its FAULT windows lie outside the region of training; share, by, reading:
-    of the farthest. instant: of its start, see `Seen`. number: counted from 1. suspect: UNKNOWN where it is
+    of the farthest. instant: of its start, see `Seen`. test, begun_by, last_by: of a monitor the numbers of
+    the tests that speak at `worst`, `start` and `last`. number: counted from 1. suspect: UNKNOWN where it is
     not asked for. ended: why it is over, "" where the rule does not say it.
     """
 
@@ -125,6 +131,9 @@ class Raised(NamedTuple):
     by: int
     reading: float
     instant: float
+    test: int
+    begun_by: int
+    last_by: int
     number: int = 0
     suspect: Suspect = UNKNOWN
     ended: str = ""
@@ -144,8 +153,8 @@ class Raised(NamedTuple):
         if not other.windows:
             return both
         if not np.isnan(self.depth) and not other.depth >= self.depth:  # NaN is the deepest
-            both = both._replace(depth=other.depth, worst=other.worst)
-        return both._replace(last=other.last)
+            both = both._replace(depth=other.depth, worst=other.worst, test=other.test)
+        return both._replace(last=other.last, last_by=other.last_by)
 
 
 class Event(NamedTuple):
@@ -300,6 +309,7 @@ class Watch:
         worst, farthest = least(np.where(fault, margin, np.inf)), starts
         if share.any():
             farthest = least(-share)
+        last = np.maximum.reduceat(np.where(fault, at, -1), first)
         # of all FAULT windows: the rule counts some that an alarm begins after
         made = np.append(np.flatnonzero(flags) + tail - n, len(seen.fault))
         after = np.append(np.where(seen.missing, NO_DATA, OTHER), NO_SAMPLE)
@@ -313,7 +323,7 @@ class Watch:
             seen.margin[worst],
             worst + offset,
             made[np.searchsorted(made, starts - n + 1)] + offset,
-            np.maximum.reduceat(np.where(fault, at, -1), first) + offset,
+            last + offset,
             after[ends + 1],
             known,
             np.add.reduceat((share > 0).astype(np.int64), first),
@@ -321,6 +331,9 @@ class Watch:
             seen.by[farthest].astype(np.int64),
             seen.reading[farthest],
             seen.instant[starts],
+            seen.test[worst],
+            seen.test[starts],
+            seen.test[last],
             self.count + np.arange(len(starts)) + (not tail),
         )
         return [Raised(*row) for row in zip(*map(np.ndarray.tolist, columns), strict=True)], left
@@ -340,7 +353,7 @@ class Watch:
         self._sweep(stretch.start)
         self.repairs = False
         if self.blame is not None:
-            stretch = stretch._replace(suspect=self.blame(stretch.start))
+            stretch = stretch._replace(suspect=self.blame(stretch.start, stretch.begun_by))
         name = stretch.suspect.first
         if name in self.alarms:
             self.repairs = stretch.suspect.ends(self.alarms[name].suspect)
@@ -368,7 +381,7 @@ class Watch:
             return True
         if self.blame is None or not alarm.suspect.jump or stretch.last == stretch.start:
             return False
-        return self.blame(stretch.last).ends(alarm.suspect)
+        return self.blame(stretch.last, stretch.last_by).ends(alarm.suspect)
 
     def _sweep(self, sample: int) -> None:
         """End the alarms that nothing from a sample on can join any more."""
@@ -446,9 +459,3 @@ def often(flags: np.ndarray, k: int, n: int) -> np.ndarray:
     """Return (T,) bool: whether k of the last n flags are set. flags: (n + T,), n of samples before."""
     count = np.cumsum(flags)
     return np.asarray(count[n:] - count[:-n] >= k)
-
-
-def alarms_in(rule: AlarmRule, seen: Seen, blame: Blame | None = None) -> list[Raised]:
-    """Return the alarms of a whole recording, in the order in which they begin. blame: see `Watch`."""
-    watch = Watch(rule, blame)
-    return sorted([*watch.add(seen), *watch.finish()], key=NUMBER)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.window import bounded_sums, window_rows
+from jaxbound.models.window import window_rows
 from jaxbound.sets.floats import rounding
 
 __all__ = ["AverageRows", "average_rows", "bounds_of"]
@@ -58,7 +58,7 @@ def average_rows(model: LinearSystem, L: int) -> AverageRows:
     """Return the rows of a model's bounded sums that fit into so many samples."""
     rows = window_rows(model, L - 1)
     count = len(rows.of_sums)
-    bounds = [rounding.round_up(bounded.bound) for bounded in bounded_sums(model)]
+    bounds = [rounding.round_up(bounded.bound) for bounded in model.averages]
     v, w = np.zeros((count, L, model.p)), np.zeros((count, L, model.g))
     m, bound = np.zeros(count), np.zeros(count)
     for a, row in enumerate(rows.of_sums):

@@ -9,15 +9,15 @@ parameter of the plant, C + theta C and D + theta D, of the same bounds.
 
 from collections.abc import Collection, Mapping, Sequence
 from fractions import Fraction
-from typing import Any
+from functools import partial
 
-from jaxbound.exact.linalg import Matrix, Number, Vector, beside, columns_of, scale, transpose, zeros
+from jaxbound.exact.linalg import Matrix, Number, beside, columns_of, scale, transpose, zeros
 from jaxbound.exact.linalg import identity as unit_matrix
 from jaxbound.models.faults import refuse_unknown_signal
-from jaxbound.models.named_faults import faults_beside_states
+from jaxbound.models.more_states import more_states
 from jaxbound.models.numbers import number
-from jaxbound.models.system import LinearSystem, matrices_at_zero
-from jaxbound.models.uncertainty import Uncertainty, coefficient
+from jaxbound.models.system import LinearSystem
+from jaxbound.models.uncertainty import Uncertainty
 
 __all__ = ["with_faults"]
 
@@ -66,24 +66,16 @@ def with_faults(
     drifts = [signal for signal, kind in named if kind == "drift"]
     rates = _rates(rate, drifts)
     model = _with_errors_as_parameters(model, [signal for signal, _ in named])
-    k, n = len(named), model.n
-    parameters = []
-    for p in model.uncertainties:
-        grown = _grown(model, named, {letter: coefficient(p, letter) for letter in "ABCD"}, identity=0)
-        parts = {letter: rows for letter, rows in grown.items() if any(map(any, rows))}
-        parameters.append(Uncertainty(p.name, **parts, varying=p.varying, between=p.between))
-    moving = [i for i, (_, kind) in enumerate(named) if kind == "drift"]
-    G = model.G if model.g else zeros(n, 0)
-    G = beside(G, zeros(n, len(moving))) + beside(zeros(k, model.g), columns_of(unit_matrix(k), moving))
-    pairs = [*model.disturbance, *((-bound, bound) for bound in rates)]
-    changes: dict[str, Any] = dict(
-        _grown(model, named, matrices_at_zero(model), identity=1),
-        uncertainties=parameters,
-        states=(*model.states, *faults),
-        faults=faults_beside_states(model.faults, k),
-        disturbance=(G, pairs) if pairs else None,
-        unknown_inputs=(model.F + zeros(k, model.d), model.D_v) if model.d else None,
+    k = len(named)
+    unit = unit_matrix(k)
+    changes = more_states(
+        model, faults, partial(_acting, model, named, 1), partial(_acting, model, named, 0), unit
     )
+    moving = [i for i, (_, kind) in enumerate(named) if kind == "drift"]
+    if moving:
+        more = beside(zeros(k, model.g), columns_of(unit, moving))
+        pairs = [*model.disturbance, *((-bound, bound) for bound in rates)]
+        changes["disturbance"] = beside(model.G, zeros(model.n, len(moving))) + more, pairs
     return model.replace(**changes)
 
 
@@ -115,35 +107,6 @@ def _rates(rate: Number | Mapping[str, Number] | None, drifts: Sequence[str]) ->
     if any(bound < 0 for bound in bounds):
         raise ValueError("a rate must be >= 0")
     return bounds
-
-
-def _grown(
-    model: LinearSystem,
-    named: Sequence[tuple[str, str]],
-    part: Mapping[str, Matrix | None],
-    identity: int,
-) -> dict[str, Matrix]:
-    """Return {letter: matrix} with a state for each fault, which stays as it is and acts on its signal.
-
-    Args:
-        named: (signal, kind) of the faults. part: the matrices of the model, identity 1, or of a parameter,
-            identity 0, which adds nothing to the states of faults; None: it acts on none of such a matrix.
-    """
-    n, m, p, k = model.n, model.m, model.p, len(named)
-    A, B = part["A"] or zeros(n, n), part["B"] or zeros(n, m)
-    C, D = part["C"] or zeros(p, n), part["D"] or zeros(p, m)
-    on_states, on_outputs = [], []
-    for signal, _ in named:
-        to_state, to_output = _acts(model, signal, B, D, identity)
-        on_states.append(to_state)
-        on_outputs.append(to_output)
-    stays = [scale(row, identity) for row in unit_matrix(k)]
-    return {
-        "A": beside(A, transpose(on_states)) + beside(zeros(k, n), stays),
-        "B": B + zeros(k, m),
-        "C": beside(C, transpose(on_outputs)),
-        "D": D,
-    }
 
 
 def _with_errors_as_parameters(model: LinearSystem, faulty: Collection[str]) -> LinearSystem:
@@ -201,10 +164,20 @@ def _fault(model: LinearSystem, text: str) -> tuple[str, str]:
     return signal, kind
 
 
-def _acts(model: LinearSystem, signal: str, B: Matrix, D: Matrix, own: int) -> tuple[Vector, Vector]:
-    """Return how a fault acts on x+ and on y. own: its effect on an output that it is of."""
-    if signal in model.outputs:
-        i = model.outputs.index(signal)
-        return (Fraction(0),) * model.n, scale(unit_matrix(model.p)[i], own)
-    i = model.inputs.index(signal)
-    return tuple(row[i] for row in B), tuple(row[i] for row in D)
+def _acting(
+    model: LinearSystem, named: Sequence[tuple[str, str]], own: int, part: Mapping[str, Matrix]
+) -> tuple[Matrix, Matrix]:
+    """Return how faults, (signal, kind) each, act on x+ and on y. own: their effect on outputs that they are
+    of. part: the matrices of the model, or of a parameter, by their letters.
+    """
+    on_states, on_outputs = [], []
+    for signal, _ in named:
+        if signal in model.outputs:
+            i = model.outputs.index(signal)
+            on_states.append((Fraction(0),) * model.n)
+            on_outputs.append(scale(unit_matrix(model.p)[i], own))
+        else:
+            i = model.inputs.index(signal)
+            on_states.append(tuple(row[i] for row in part["B"]))
+            on_outputs.append(tuple(row[i] for row in part["D"]))
+    return transpose(on_states), transpose(on_outputs)

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from jaxbound.exact.linalg import Matrix, Number, beside, identity, rational
 from jaxbound.models.discretise import Affine, decimals, held
+from jaxbound.models.numbers import ordered_pair
 from jaxbound.models.remainder import Plane, derivatives, plane
 from jaxbound.models.signals import Each, named, sensors
 from jaxbound.models.system import LinearSystem
@@ -359,13 +360,8 @@ def _point(field: str, values: object) -> list[Fraction]:
 def _parameters(stated: Mapping[str, Sequence[Number]] | None) -> dict[str, tuple[Fraction, Fraction]]:
     """Return {name: (lo, hi)} of the parameters, exactly."""
     between = {}
-    for name, ends in dict(stated or {}).items():
-        if np.shape(cast("ArrayLike", ends)) != (2,):
-            raise ValueError(f"parameter {name!r} needs its lowest and its highest value, not {ends!r}")
-        lo, hi = _point(f"parameter {name!r}", ends)
-        if lo >= hi:
-            raise ValueError(f"parameter {name!r} needs lo < hi, not [{float(lo):g}, {float(hi):g}]")
-        between[str(name)] = lo, hi
+    for name, pair in dict(stated or {}).items():
+        between[str(name)] = ordered_pair(f"parameter {name!r}", pair, apart=True)
     return between
 
 

@@ -4,14 +4,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from jaxbound.models.filevalues import Table
-from jaxbound.models.modelfields import LISTS
+from jaxbound.models.modelfields import LISTS, READ_BY
 
 __all__ = ["changes_between", "with_changes"]
 
 MERGED = ("inputs", "outputs")
 """Tables that are changed by the name of their signal; others stand in place of those of the file."""
-READ_ONCE = ("every", "time", "where")
-"""Fields by which the recording is read, which is read once for all tests."""
 ABSENT: Mapping[str, object] = {"averages": [], "noise": "0", "resolution": "0", "offset": "0"}
 """Fields of a signal that are stated where one model has them and the other has not."""
 ONCE = ("test", "name")
@@ -26,7 +24,7 @@ def with_changes(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     """
     changed = dict(document)
     for key, value in changes.items():
-        if key in READ_ONCE or key == "test":
+        if key in READ_BY or key == "test":
             raise ValueError(f"{key} is for the whole file: a recording is read once for all tests")
         if key == "horizon":
             changed.pop("lags", None)

@@ -29,14 +29,13 @@ from jaxbound.models.filevalues import (
 )
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.statedtests import stated_tests
-from jaxbound.models.system import LinearSystem, matrices_at_zero
+from jaxbound.models.system import ORIGINS, LinearSystem, matrices_at_zero
 from jaxbound.models.uncertainty import Uncertainty
 
-__all__ = ["FIELDS", "LISTS", "Entry", "field_names", "model_arguments", "value_texts"]
+__all__ = ["FIELDS", "LISTS", "READ_BY", "Entry", "field_names", "model_arguments", "value_texts"]
 
 LISTS = ("inputs", "outputs", "disturbances", "uncertainty", "fault")
 """Places of which a file has several, each a table of its own."""
-PROVENANCE = ("model", "tolerance", "noise", "resolution", "disturbance")
 
 
 @dataclass(frozen=True)
@@ -139,14 +138,18 @@ FIELDS: Mapping[str, Mapping[str, ValueKind]] = {
 }
 """{table, "" above all tables: {field: kind of its value}}, in the order in which they are written."""
 READ_BY = ("every", "time", "where")
-"""Fields above all tables by which recordings are read."""
+"""Fields above all tables by which recordings are read, once for all tests."""
+BY_NAME = {"unit": "units", "column": "columns", "range": "ranges"}
+"""{field of a signal: argument of a LinearSystem that has it by the name of the signal}."""
+EACH = ("tolerance", "noise", "resolution")
+"""Bounds that have a number for each output."""
 TABLES = (*LISTS, "matrices", "provenance", "fit", "test")  # fit: how it was made, which `fit` reads
 
 
 def field_names(place: str) -> tuple[str, ...]:
     """Return the names that a table of a model file may hold. place: its name, "" above all tables."""
     if place == "provenance":
-        return PROVENANCE
+        return ORIGINS
     names = tuple(FIELDS[place])
     if not place:
         return names + TABLES
@@ -173,29 +176,30 @@ def _stated(model: LinearSystem) -> dict[str, list[Table]]:
 
     The model is written decoupled and solved for x+, its matrices at the value 0 of every parameter.
     """
-    units, columns = model.units, model.columns
-    top = {name: columns.get(name) for name in READ_BY} | {
+    top = {name: model.columns.get(name) for name in READ_BY} | {
         "name": model.name,
         "dt": Fraction(repr(model.dt)),
         "horizon": model.horizon,
         "lags": model.lags,
         "left_out": model.left_out,
         "constant_tolerance": model.constant_tolerance or None,
-        "states": [(name, units.get(name)) for name in model.states],
+        "states": [(name, model.units.get(name)) for name in model.states],
     }
     if model.lags is not None:
         top["horizon"] = None  # the largest of the lags says it
     tables: dict[str, list[Table]] = {"": [top], "inputs": [], "outputs": []}
     for place, side in (("inputs", "u"), ("outputs", "y")):
         for name, offset in zip(getattr(model, place), model.offset[side], strict=True):
-            table = {"name": name, "unit": units.get(name), "column": columns.get(name)}
-            tables[place].append({**table, "offset": offset or None, "range": model.ranges.get(name)})
+            table: Table = {"name": name, "offset": offset or None}
+            for field, argument in BY_NAME.items():
+                table[field] = getattr(model, argument).get(name)
+            tables[place].append(table)
     for i, table in enumerate(tables["outputs"]):
-        noise: object = model.noise[i] or None
+        for bound in EACH:
+            table[bound] = getattr(model, bound)[i] or None
         if table["name"] in model.times:
-            noise = model.noise[i], model.times[table["name"]]
-        table |= {"tolerance": model.tolerance[i] or None, "resolution": model.resolution[i] or None}
-        table |= {"noise": noise, "averages": _averages(model, table["name"])}
+            table["noise"] = model.noise[i], model.times[table["name"]]
+        table["averages"] = _averages(model, table["name"])
     disturbances = enumerate(model.disturbance, 1)
     tables["disturbances"] = [{"bound": b, "averages": _averages(model, f"w{j}")} for j, b in disturbances]
     tables["uncertainty"] = [dict(vars(parameter)) for parameter in model.uncertainties]
@@ -277,7 +281,7 @@ def _read_matrices(document: Table) -> Table:
 
 def _read_provenance(document: Table) -> Table:
     table = as_table("[provenance]", document.get("provenance", {}))
-    return known_fields("[provenance]", table, PROVENANCE)
+    return known_fields("[provenance]", table, ORIGINS)
 
 
 def _read_entry(entry: Entry, table: object) -> Table:
@@ -315,17 +319,16 @@ def _refuse_half_of_a_pair(tables: Mapping[str, list[Table]]) -> None:
 def _of_signals(tables: Mapping[str, list[Table]]) -> dict[str, Any]:
     """Return the arguments that have a value for each signal, 0 where a file says nothing."""
     inputs, outputs = tables["inputs"], tables["outputs"]
-    arguments: dict[str, Any] = {
-        "units": _by_name([*inputs, *outputs, *tables["states"]], "unit"),
-        "columns": _by_name([*inputs, *outputs], "column"),
-        "ranges": _by_name(inputs, "range"),
-        "offset": {},
-    }
+    named = [*inputs, *outputs, *tables["states"]]
+    arguments: dict[str, Any] = {}
+    for field, argument in BY_NAME.items():
+        arguments[argument] = _by_name(named, field)
+    arguments["offset"] = {}
     for side, signals in (("u", inputs), ("y", outputs)):
         if signals:
             arguments["offset"][side] = [signal.get("offset", 0) for signal in signals]
     if outputs:
-        for bound in ("tolerance", "noise", "resolution"):
+        for bound in EACH:
             arguments[bound] = [output.get(bound, 0) for output in outputs]
         arguments["times"] = {}
         for i, bound in enumerate(arguments["noise"]):

@@ -33,6 +33,8 @@ __all__ = [
     "template",
 ]
 
+SHARED = ("inputs", "outputs", "dt", "columns")
+"""Arguments of a model by which recordings are read."""
 RECORDED = (".csv", ".parquet", ".pq", ".tsv", ".xlsx")  # ends of names of what is no model
 
 
@@ -148,16 +150,6 @@ def _names_a_file(test: Mapping[str, Any]) -> bool:
     return isinstance(test.get("model"), str)
 
 
-def _read_by(model: LinearSystem) -> dict[str, object]:
-    """Return the signals of a model, its step and its columns, by which recordings are read."""
-    return {
-        "inputs": model.inputs,
-        "outputs": model.outputs,
-        "dt": model.dt,
-        "columns": dict(model.columns),
-    }
-
-
 def _with_its_model(base: LinearSystem, test: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return the table of a test with the fields of the model file that it names, as far as they differ.
 
@@ -171,11 +163,11 @@ def _with_its_model(base: LinearSystem, test: dict[str, Any], folder: Path) -> d
         other = _loaded(folder / file, alone=True)
     except (OSError, ValueError) as e:
         raise ValueError(f"{where}: {e}") from None
-    for field, theirs in _read_by(other).items():
-        own = _read_by(base)[field]
+    for field in SHARED:
+        theirs, own = getattr(other, field), getattr(base, field)
         if theirs != own:
             raise ValueError(
-                f"{where}: {file} has {field} {theirs!r}, this file {own!r}: all tests of a monitor judge "
+                f"{where}: {file} has {field} {theirs}, this file {own}: all tests of a monitor judge "
                 f"the same samples"
             )
     if other.tests:

@@ -19,7 +19,7 @@ from fractions import Fraction
 
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number, beside, zeros
 from jaxbound.models.arguments import listed_argument
-from jaxbound.models.numbers import entries_of, number
+from jaxbound.models.numbers import entries_of, number, ordered_pair
 from jaxbound.recordings.expressions import missing_column
 from jaxbound.text.names import listed
 from jaxbound.text.objects import readable
@@ -147,7 +147,7 @@ class NamedFault:
             sign=sign,
             least=smallest,
             most=largest,
-            between=_ends(f"between of {about}", between),
+            between=None if between is None else ordered_pair(f"between of {about}", between),
             unit=unit,
         )
 
@@ -234,18 +234,6 @@ def _magnitude(field: str, stated: Number | None) -> Fraction | None:
     if bound < 0:
         raise ValueError(f"{field} must be >= 0, a magnitude, not {stated!r}")
     return bound
-
-
-def _ends(field: str, stated: Sequence[Number] | None) -> tuple[Fraction, Fraction] | None:
-    """Return the ends of what an actuator does exactly, None where nothing is stated."""
-    if stated is None:
-        return None
-    if isinstance(stated, str) or len(stated) != 2:
-        raise ValueError(f"{field} needs two numbers, lo <= hi, not {stated!r}")
-    lo, hi = number(field, stated[0]), number(field, stated[1])
-    if lo > hi:
-        raise ValueError(f"{field} needs lo <= hi, not {float(lo):g} and {float(hi):g}")
-    return lo, hi
 
 
 def named_faults(

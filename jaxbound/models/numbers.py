@@ -9,7 +9,7 @@ import numpy as np
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number
 
-__all__ = ["entries_of", "exact_matrix", "is_real", "is_whole", "number"]
+__all__ = ["entries_of", "exact_matrix", "is_real", "is_whole", "number", "ordered_pair"]
 
 
 def is_real(x: object) -> TypeGuard[float]:
@@ -30,6 +30,20 @@ def number(field: str, x: Number) -> Fraction:
         return linalg.rational(x)
     except ValueError as e:
         raise ValueError(f"{field}: {e}") from None
+
+
+def ordered_pair(field: str, stated: object, apart: bool = False) -> tuple[Fraction, Fraction]:
+    """Return the lowest and the highest number of a field exactly; raise ValueError with its name. apart:
+    whether they must differ.
+    """
+    pair = np.asarray(stated, object)
+    if pair.shape != (2,):
+        raise ValueError(f"{field} needs two numbers, the lowest and the highest, not {stated!r}")
+    lo, hi = number(field, pair[0]), number(field, pair[1])
+    if lo > hi or (apart and lo == hi):
+        sign = "<" if apart else "<="
+        raise ValueError(f"{field} needs lo {sign} hi, not [{float(lo):g}, {float(hi):g}]")
+    return lo, hi
 
 
 def exact_matrix(field: str, a: MatrixLike | None) -> Matrix:

@@ -8,10 +8,10 @@ from typing import cast
 
 import numpy as np
 
-from jaxbound.exact.linalg import Matrix, MatrixLike, Number, zeros
+from jaxbound.exact.linalg import Matrix, Number, zeros
 from jaxbound.models.numbers import entries_of, exact_matrix, number
 from jaxbound.models.uncertainty import Uncertainty, centred, influences
-from jaxbound.models.unknown import Bounded, Coupling, decoupled, unbounded_inputs
+from jaxbound.models.unknown import Bounded, Given, decoupled, unbounded_inputs
 
 __all__ = ["Plant", "plant", "refuse_state_space"]
 
@@ -75,13 +75,8 @@ def refuse_state_space(A: object) -> None:
 
 
 def plant(
-    A: MatrixLike | None,
-    B: MatrixLike | None,
-    C: MatrixLike | None,
-    D: MatrixLike | None,
+    given: Given,
     dt: Number,
-    disturbance: Bounded | None,
-    unknown_inputs: Coupling | None,
     uncertainties: Uncertainty | Sequence[Uncertainty],
     decouple: str | Sequence[str],
 ) -> Plant:
@@ -91,28 +86,28 @@ def plant(
         ValueError: shapes that do not fit, a number that is not finite, a negative bound, a dt that is not
             positive.
     """
-    exact_A = _rows("A", A)
+    exact_A = entries_of("A", given.A)
     n = len(exact_A)
     if n and len(exact_A[0]) != n:
         raise ValueError(f"A must be square, one row per state: its shape is ({n}, {len(exact_A[0])})")
-    direct = entries_of("D", D)
+    direct = entries_of("D", given.D)
     if not n and not direct:
         raise ValueError("A must be square, one row per state; a model without states needs D (y = D u)")
-    exact_C = _rows("C", C)
+    exact_C = entries_of("C", given.C)
     if not exact_C and not n:
         exact_C = zeros(len(direct), 0)  # y = D u, and D says how many outputs there are
     p = len(exact_C)
     if p == 0:
         raise ValueError("the model has no output: C needs at least one row")
-    exact_B = entries_of("B", B) or zeros(n, 0)
+    exact_B = entries_of("B", given.B) or zeros(n, 0)
     m = len(exact_B[0]) if n else len(direct[0])
     exact_D = direct or zeros(p, m)
     _refuse_shape("B", exact_B, (n, m))
     _refuse_shape("C", exact_C, (p, n))
     _refuse_shape("D", exact_D, (p, m))
     parameters = influences(uncertainties, {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)})
-    G, pairs = _disturbance(disturbance, n)
-    F, D_v = unbounded_inputs(unknown_inputs, n, p)
+    G, pairs = _disturbance(given.disturbance, n)
+    F, D_v = unbounded_inputs(given.unknown_inputs, n, p)
     trusted, F, D_v = decoupled(parameters, decouple, F, D_v)
     exact_dt = number("dt", dt)
     if not 0 < exact_dt <= Fraction(sys.float_info.max):
@@ -130,13 +125,6 @@ def plant(
         uncertainties=trusted,
         dt=period,
     )
-
-
-def _rows(field: str, a: MatrixLike | None) -> Matrix:
-    """Return a matrix exactly; () without rows."""
-    if a is None or (np.ndim(np.asarray(a, object)) and not len(a)):
-        return ()
-    return exact_matrix(field, a)
 
 
 def _refuse_shape(field: str, a: Matrix, shape: tuple[int, int]) -> None:

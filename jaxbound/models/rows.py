@@ -25,13 +25,13 @@ from dataclasses import dataclass
 from enum import Enum
 from fractions import Fraction
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxbound.exact.linalg import Vector
 
-__all__ = ["BoundedSum", "Kind", "Row", "Term", "WeightedSum", "WindowRows"]
+__all__ = ["Kind", "Row", "Term", "WeightedSum", "WindowRows"]
 
 ONE = (Fraction(1),)
 
@@ -77,21 +77,6 @@ class WeightedSum:
             if signal == number:
                 total += sum(map(abs, weights))
         return total
-
-
-class BoundedSum(Protocol):
-    """A bound on weighted sums of errors, as a model has them: `models.average.Average` is one."""
-
-    @property
-    def bound(self) -> Fraction:
-        """The largest magnitude of the sum."""
-
-    @property
-    def text(self) -> str:
-        """The name of the sum, for a reader."""
-
-    def weighted_sum(self, outputs: tuple[str, ...]) -> WeightedSum:
-        """Return the sum, its signals by their numbers."""
 
 
 class Term(NamedTuple):

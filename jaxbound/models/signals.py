@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxbound.exact.linalg import Number, Vector
 from jaxbound.models.arguments import listed_argument, table_argument
-from jaxbound.models.numbers import number
+from jaxbound.models.numbers import number, ordered_pair
 from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.expressions import expression, is_expression
 from jaxbound.recordings.means import EVERY
@@ -32,7 +32,8 @@ __all__ = [
 
 Each: TypeAlias = Number | Sequence[Number] | np.ndarray | jax.Array
 """One number for all, or one for each."""
-
+Names: TypeAlias = str | Sequence[str] | None
+"""Names as they are given; None: numbered."""
 Words: TypeAlias = tuple[tuple[str, str], ...]
 """Pairs (name, text) in one order, whatever the order of the table they came from."""
 
@@ -70,9 +71,7 @@ class Sensors:
 
 def model_signals(
     sizes: tuple[int, int, int],
-    inputs: str | Sequence[str] | None,
-    outputs: str | Sequence[str] | None,
-    states: str | Sequence[str] | None,
+    names: tuple[Names, Names, Names],
     offset: Mapping[str, Each] | None,
     units: Mapping[str, str] | None,
     columns: Mapping[str, str] | None,
@@ -81,13 +80,15 @@ def model_signals(
     """Check the arguments of a LinearSystem that speak of its signals and return them in one form.
 
     Args:
-        sizes: (m, p, n), numbers of inputs, outputs and states. The rest: as of a LinearSystem.
+        sizes: (m, p, n), numbers of inputs, outputs and states. names: of these. The rest: as of a
+            LinearSystem.
 
     Raises:
         ValueError: a wrong number of names, a name used twice, a unit or column of a signal that the model
             does not have.
     """
     m, p, n = sizes
+    inputs, outputs, states = names
     input_names = named("inputs", inputs, m, "u")
     output_names = named("outputs", outputs, p, "y")
     state_names = named("states", states, n, "x")
@@ -144,23 +145,8 @@ def _ranges(
     ranges = []
     for name in inputs:
         if name in stated:
-            ranges.append((name, *_range(name, stated[name])))
+            ranges.append((name, *ordered_pair(f"the range of {name!r}", stated[name])))
     return tuple(ranges)
-
-
-def _range(name: str, stated: tuple[Number, Number]) -> tuple[Fraction, Fraction]:
-    """Return the lowest and the highest number of an input, exactly."""
-    ends = np.asarray(stated, object)
-    if ends.shape != (2,):
-        raise ValueError(
-            f"the range of {name!r} needs two numbers, the lowest and the highest, not {stated!r}"
-        )
-    lo, hi = (number(f"range of {name!r}", x) for x in ends)
-    if lo > hi:
-        raise ValueError(
-            f"the range of {name!r} needs its lowest number first: {float(lo):g} is above {float(hi):g}"
-        )
-    return lo, hi
 
 
 def sensors(
@@ -226,7 +212,7 @@ def names_in(field: str, stated: Iterable[object]) -> tuple[str, ...]:
     return tuple(map(str, listed_argument(field, stated, "['T1', 'T2']")))
 
 
-def named(field: str, stated: str | Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
+def named(field: str, stated: Names, count: int, letter: str) -> tuple[str, ...]:
     """Return the names of as many signals: those stated, or numbered with a letter.
 
     Raises:

@@ -8,7 +8,7 @@ levels (a plain recursion was off by 120 times that).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -37,7 +37,16 @@ from jaxbound.sets.floats.rounding import Pair
 from jaxbound.sets.floats.sizes import power
 from jaxbound.text.objects import readable
 
-__all__ = ["Trajectory", "simulate"]
+__all__ = [
+    "Acts",
+    "Channel",
+    "Recorded",
+    "Trajectory",
+    "channel_of",
+    "recorded_inputs",
+    "simulate",
+    "simulated",
+]
 
 FEW, TINY = 2**16, 2**10
 """Samples of all recordings up to which as many as the next power of two, or of four, are compiled for: few
@@ -111,22 +120,64 @@ def simulate(
     model = as_model(model, factors=True)
     if at not in ("uniform", "vertices"):
         raise ValueError(f"at must be 'uniform' or 'vertices', not {at!r}")
-    columns, factors = _recorded_inputs(model, u)
-    recorded = columns[..., : model.m]
-    *leading, T, _ = recorded.shape
-    batch, dtype = tuple(leading), recorded.dtype
+    recorded = recorded_inputs(model, u)
+    acts = _acts(model, faults, recorded.columns.shape[-2], recorded.columns.dtype)
+    return simulated(model, recorded, key, acts, at, x0, unknown_input)
+
+
+class Recorded(NamedTuple):
+    """Inputs as they are recorded. Fields: columns (..., T, m), with factors on noise behind them; factors
+    (..., T, p); None where the model has none.
+    """
+
+    columns: Array
+    factors: Array | None
+
+
+class Channel(NamedTuple):
+    """A fault as a kernel sees it: its kind, and the number of its output or of its input."""
+
+    kind: str
+    output: int | None
+    input: int | None
+
+
+class Acts(NamedTuple):
+    """Faults of recordings.
+
+    Fields: channels: of each. sizes (faults, N or 1, 1); active (faults, N or 1, T) bool: where each acts.
+    """
+
+    channels: tuple[Channel, ...]
+    sizes: np.ndarray
+    active: np.ndarray
+
+
+def simulated(
+    model: LinearSystem,
+    recorded: Recorded,
+    key: jax.Array | int,
+    acts: Acts,
+    at: str,
+    x0: ArrayLike | None = None,
+    unknown_input: ArrayLike | None = None,
+) -> Trajectory:
+    """Return the Trajectory of `simulate`, of faults that may differ from recording to recording."""
+    columns, factors = recorded
+    inputs = columns[..., : model.m]
+    *leading, T, _ = inputs.shape
+    batch, dtype = tuple(leading), inputs.dtype
     start = _first_states(model, x0, batch, dtype)
     v = _stated_unknown_input(unknown_input, (*batch, T, model.d), dtype)
-    channels = [_channel(model, f) for f in faults]
-    active = _switches(model, faults, T)
 
     # All is filled up to sizes that serve many simulations, and cut again at the end.
     count, samples = _compiled_sizes(math.prod(batch), T)
     start = _filled(start[..., None, :], count, 1)[:, 0]
+    channels = acts.channels
     widths = {
         THETA: model.p,
         NOISE: model.p,
-        FAULT_NOISE: len(faults) if any(f.kind == "noise" for f in faults) else 0,
+        FAULT_NOISE: len(channels) if any(c.kind == "noise" for c in channels) else 0,
         DISTURBANCE: model.g,
         PARAMETER: len(model.uncertainties),
     }
@@ -137,38 +188,29 @@ def simulate(
         v = normal_draws(key, count, (samples, model.d), dtype)
     else:
         v = _filled(v, count, samples)
-    arrays = draws, _filled(recorded, count, samples), start, v
 
     places, averages = places_of(model, dtype)
     bounds = _bounds(model, averages, dtype)
     if factors is not None:
         # inward: no draw lies beyond its bound
         bounds["noise"] = np.nextafter(bounds["noise"] * _filled(factors, count, samples), 0, dtype=dtype)
-    run = _recorded if _library(*arrays) is np else _recorded_within
-    out = run(
-        tuple(channels),
-        streams,
-        places,
-        at == "vertices",
-        model.constant_tolerance,
-        _plant_numbers(model, dtype),
-        bounds,
-        np.array([f.size for f in faults], dtype),
-        np.pad(active, ((0, 0), (0, samples - T))),
-        *arrays,
-    )
-    run_of = Trajectory(*_cut(out, batch, T))
+    rules = _Rules(channels, streams, places, at == "vertices", model.constant_tolerance)
+    sizes = _for_all(acts.sizes, count)
+    active = np.pad(_for_all(acts.active, count), ((0, 0), (0, 0), (0, samples - T)))
+    u = _filled(inputs, count, samples)
+    given = _Given(_plant_numbers(model, dtype), bounds, sizes, active, draws, u, start, v)
+    run = _recorded if _library(draws, u, start, v) is np else _recorded_within
+    run_of = Trajectory(*_cut(run(rules, given), batch, T))
     if factors is None:
         return run_of
     return replace(run_of, u=cast("jax.Array", columns))
 
 
-class _Channel(NamedTuple):
-    """A fault as a kernel sees it: its kind, and the number of its output or of its input."""
-
-    kind: str
-    output: int | None
-    input: int | None
+def _for_all(x: np.ndarray, count: int) -> np.ndarray:
+    """Return numbers (faults, N, .) of so many recordings; those of (faults, 1, .) are of all."""
+    if x.shape[1] == 1:
+        return x
+    return np.pad(x, ((0, 0), (0, count - x.shape[1]), (0, 0)))
 
 
 class _PlantNumbers(TypedDict):
@@ -190,12 +232,37 @@ class _Bounds(TypedDict):
     averages: AverageNumbers
 
 
-def _recorded_inputs(model: LinearSystem, u: object) -> tuple[Array, Array | None]:
-    """Return (inputs (..., T, m) in the float type of the simulation, checked, as they are given: with the
-    factors on noise behind them; these factors (..., T, p), None where the model has none).
+class _Rules(NamedTuple):
+    """The static part of a simulation. Fields: channels: of faults. streams: of random numbers. places: of
+    averages. vertices: whether each draw is an end. constant: whether a recording has one theta an output.
     """
+
+    channels: tuple[Channel, ...]
+    streams: tuple[int, ...]
+    places: Places
+    vertices: bool
+    constant: bool
+
+
+class _Given(NamedTuple):
+    """The numbers of a simulation. Fields: sizes, active: as of `Acts`. draws (streams, N, .); u (N, T, m);
+    x0 (N, n); v (N, T, d).
+    """
+
+    numbers: _PlantNumbers
+    bounds: _Bounds
+    sizes: Array
+    active: Array
+    draws: Array
+    u: Array
+    x0: Array
+    v: Array
+
+
+def recorded_inputs(model: LinearSystem, u: object) -> Recorded:
+    """Return inputs as they are given in the float type of the simulation, checked."""
     if not model.factors:
-        return _checked_inputs(model, u), None
+        return Recorded(_checked_inputs(model, u), None)
     if model.averages:
         raise ValueError("simulate draws noise times a factor only where no errors average out")
     inputs: Array = floats(u, "u")
@@ -209,7 +276,7 @@ def _recorded_inputs(model: LinearSystem, u: object) -> tuple[Array, Array | Non
         factors[..., factor.number] = given[..., column]
     if np.isnan(factors).any():
         raise ValueError("simulate needs every factor on noise: an input, or an expression, has no value")
-    return given, factors
+    return Recorded(given, factors)
 
 
 def _checked_inputs(model: LinearSystem, u: object) -> Array:
@@ -300,24 +367,25 @@ def _cut(out: tuple[Array, ...], batch: tuple[int, ...], T: int) -> tuple[jax.Ar
     return tuple(pieces if within else jax.device_put(pieces))
 
 
-def _channel(model: LinearSystem, fault: Fault) -> _Channel:
+def channel_of(model: LinearSystem, fault: Fault) -> Channel:
     """Return a fault with the number of its signal."""
     refuse_unknown_signal(model, fault.signal, fault.kind)
     if fault.signal in model.outputs:
-        return _Channel(fault.kind, model.outputs.index(fault.signal), None)
-    return _Channel(fault.kind, None, model.inputs.index(fault.signal))
+        return Channel(fault.kind, model.outputs.index(fault.signal), None)
+    return Channel(fault.kind, None, model.inputs.index(fault.signal))
 
 
-def _switches(model: LinearSystem, faults: Sequence[Fault], T: int) -> np.ndarray:
-    """Return (faults, T) bool: where each fault acts."""
-    active = np.zeros((len(faults), T), bool)
+def _acts(model: LinearSystem, faults: Sequence[Fault], T: int, dtype: np.dtype) -> Acts:
+    """Return the Acts of faults in all recordings alike."""
+    channels = tuple(channel_of(model, f) for f in faults)
+    active = np.zeros((len(faults), 1, T), bool)
     for i, f in enumerate(faults):
         if f.start >= T:
             raise ValueError(
                 f"the fault of {f.signal!r} starts at sample {f.start}, but there are {T} samples"
             )
-        active[i, f.start : f.stop] = True
-    return active
+        active[i, :, f.start : f.stop] = True
+    return Acts(channels, np.array([f.size for f in faults], dtype)[:, None, None], active)
 
 
 def _plant_numbers(model: LinearSystem, dtype: np.dtype) -> _PlantNumbers:
@@ -407,41 +475,23 @@ def _apply(matrices: Pair, vectors: Pair) -> Pair:
     return _total(rounding.dd_mul(matrices, (vectors[0][:, None, None], vectors[1][:, None, None])))
 
 
-def _recorded(
-    channels: tuple[_Channel, ...],
-    streams: tuple[int, ...],
-    places: Places,
-    vertices: bool,
-    constant: bool,
-    numbers: _PlantNumbers,
-    bounds: _Bounds,
-    sizes: Array,
-    active: Array,
-    draws: Array,
-    u: Array,
-    x0: Array,
-    v: Array,
-) -> tuple[Array, ...]:
+def _recorded(rules: _Rules, given: _Given) -> tuple[Array, ...]:
     """Return (x, u, y, theta, noise, w, v, parameters) of recordings (N, T, .): by NumPy but for the
     trajectory, or inside jit.
     """
-    each = dict(zip(streams, draws, strict=True))
-    theta, noise, w, parameters, extra = _unknowns(
-        channels, each, vertices, constant, bounds, sizes, active, u
-    )
-    if places:
+    u, v, bounds = given.u, given.v, given.bounds
+    theta, noise, w, parameters, extra = _unknowns(rules, given)
+    if rules.places:
         within = bounds["noise"], bounds["lo"], bounds["hi"]
-        noise, w = kept_averages(places, bounds["averages"], noise, w, within)
-    exact = np.zeros(u.shape, u.dtype)
-    applied = _faulty(channels, sizes, active, u, exact, extra, [c.input for c in channels], 0.0)
+        noise, w = kept_averages(rules.places, bounds["averages"], noise, w, within)
+    applied = _faulty(rules, given, u, np.zeros(u.shape, u.dtype), extra, measured=False)
     along = tuple(_recordings_last(x) for x in (applied, w, v, theta, noise, parameters))
-    states, outputs = _trajectory(numbers, x0.T, along)
-    y = _recordings_first(outputs)
-    y = _faulty(channels, sizes, active, y, noise, extra, [c.output for c in channels], np.nan)
+    states, outputs = _trajectory(given.numbers, given.x0.T, along)
+    y = _faulty(rules, given, _recordings_first(outputs), noise, extra, measured=True)
     return _recordings_first(states), u, y, theta, noise, w, v, parameters
 
 
-_recorded_within = partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))(_recorded)
+_recorded_within = partial(jax.jit, static_argnums=0)(_recorded)
 
 
 def _recordings_last(x: Array) -> Array:
@@ -489,100 +539,84 @@ def _trajectory(numbers: _PlantNumbers, x0: Array, along: tuple[Array, ...]) -> 
     return jax.lax.scan(step, _single(start), acting)[1]
 
 
-def _unknowns(
-    channels: tuple[_Channel, ...],
-    draws: Mapping[int, Array],
-    vertices: bool,
-    constant: bool,
-    bounds: _Bounds,
-    sizes: Array,
-    active: Array,
-    u: Array,
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Draw theta, noise, disturbances, parameters and the noise of faults of recordings. draws: by stream."""
-    count, T, p = u.shape[0], u.shape[1], bounds["noise"].shape[-1]
-    xp = _library(u, *draws.values())
+def _unknowns(rules: _Rules, given: _Given) -> tuple[Array, Array, Array, Array, Array]:
+    """Draw theta, noise, disturbances, parameters and the noise of faults of recordings."""
+    bounds = given.bounds
+    draws: dict[int, Array] = dict(zip(rules.streams, given.draws, strict=True))
+    (count, T, _), p = given.u.shape, bounds["noise"].shape[-1]
+    xp = _library(given.u, *draws.values())
 
     def drawn(stream: int, width: int) -> Array:
         """Return draws (N, T, width) in [-1, 1); zeros where a stream has none."""
         if stream not in draws:
-            nothing: Array = xp.zeros((count, T, width), u.dtype)
+            nothing: Array = xp.zeros((count, T, width), given.u.dtype)
             return nothing
         return draws[stream][:, : T * width].reshape(count, T, width)
 
     def extreme(x: Array) -> Array:
         """Return draws, each moved to one of its ends where that is asked for."""
-        if not vertices:
+        if not rules.vertices:
             return x
         signs: Array = xp.where(x < 0, -1, 1).astype(x.dtype)
         return signs
 
     signs = extreme(drawn(THETA, p))
-    if constant:
+    if rules.constant:
         signs = signs[:, :1]
-    tolerance = xp.broadcast_to(bounds["tolerance"], (T, p))
-    for channel, size, on in zip(channels, sizes, active, strict=True):
+    tolerance = xp.broadcast_to(bounds["tolerance"], (1, T, p))
+    for channel, size, on in zip(rules.channels, given.sizes, given.active, strict=True):
         if channel.kind == "tolerance":
-            here = on[:, None] & (np.arange(p) == channel.output)[None]
-            tolerance = xp.where(here, size, tolerance)
+            here = on[:, :, None] & (np.arange(p) == channel.output)
+            tolerance = xp.where(here, size[:, :, None], tolerance)
     lo, hi = bounds["lo"][None, None], xp.maximum(bounds["lo"], bounds["hi"])[None, None]
     share = extreme(drawn(DISTURBANCE, lo.shape[2]))
     w = xp.where(share == 1, hi, xp.clip(lo + 0.5 * (share + 1) * (hi - lo), lo, hi))
     each = extreme(drawn(PARAMETER, len(bounds["varying"])))
     parameters = xp.where(bounds["varying"][None, None], each, each[:, :1])
-    extra = drawn(FAULT_NOISE, len(channels))
+    extra = drawn(FAULT_NOISE, len(rules.channels))
     largest = bounds["noise"]
     if largest.ndim == 1:  # else one for each sample
         largest = largest[None, None]
     noise = largest * extreme(drawn(NOISE, p))
-    return tolerance[None] * signs, noise, w, parameters, extra
+    return tolerance * signs, noise, w, parameters, extra
 
 
 def _faulty(
-    channels: tuple[_Channel, ...],
-    sizes: Array,
-    active: Array,
-    signals: Array,
-    errors: Array,
-    extra: Array,
-    columns: Sequence[int | None],
-    dropped: float,
+    rules: _Rules, given: _Given, signals: Array, errors: Array, extra: Array, measured: bool
 ) -> Array:
-    """Apply faults, in order, to signals (N, T, c).
+    """Apply faults, in order, to signals (N, T, c): to outputs, if they are measured, or to inputs.
 
     Args:
         errors: (N, T, c), what a gain does not multiply. extra: (N, T, faults), the noise of faults.
-        columns: the number of the signal that each fault acts on; None: it acts on none of these. dropped:
-            what is left of a missing sample.
     """
     xp = _library(signals, extra)
-    for i, (channel, c) in enumerate(zip(channels, columns, strict=True)):
+    for i, (channel, size, on) in enumerate(zip(rules.channels, given.sizes, given.active, strict=True)):
+        c = channel.output if measured else channel.input
         if c is None or channel.kind == "tolerance":
             continue
-        on = active[i]
-        with np.errstate(over="ignore", invalid="ignore"):
-            x, error = signals[:, :, c], errors[:, :, c]
-            changed = _changed(xp, channel.kind, x, error, sizes[i], on, extra[:, :, i], dropped)
-        here = on[:, None] & (np.arange(signals.shape[2]) == c)[None]
-        signals = xp.where(here[None], changed[:, :, None], signals)
+        x, error = signals[:, :, c], errors[:, :, c]
+        if channel.kind == "dropout":
+            changed = xp.full_like(x, np.nan if measured else 0.0)
+        else:
+            with np.errstate(over="ignore", invalid="ignore"):
+                changed = _changed(channel.kind, x, error, size, on, extra[:, :, i])
+        here = on[:, :, None] & (np.arange(signals.shape[2]) == c)
+        signals = xp.where(here, changed[:, :, None], signals)
     return signals
 
 
-def _changed(
-    xp: ModuleType, kind: str, x: Array, error: Array, size: Array, on: Array, extra: Array, dropped: float
-) -> Array:
+def _changed(kind: str, x: Array, error: Array, size: Array, on: Array, extra: Array) -> Array:
     """Return one signal (N, T) with its fault, as `models.named_faults` defines it; error: its noise."""
-    changed: Array
+    xp = _library(x, on, extra)
     if kind == "stuck":
-        changed = xp.broadcast_to(xp.take(x, xp.argmax(on), 1)[:, None], x.shape)
-    elif kind == "dropout":
-        changed = xp.full_like(x, dropped)
+        onset = xp.broadcast_to(xp.argmax(on, 1)[:, None], (len(x), 1))
+        changed: Array = xp.broadcast_to(xp.take_along_axis(x, onset, 1), x.shape)
     elif kind == "gain":
         changed = x + size * (x - error)
     elif kind == "bias":
         changed = x + size
     elif kind == "drift":
-        changed = x + size * (xp.cumsum(on) - 1).astype(x.dtype)[None]
+        changed = x + size * (xp.cumsum(on, 1) - 1).astype(x.dtype)
     else:
         changed = x + size * extra
     return changed

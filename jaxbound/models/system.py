@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import FrozenInstanceError, dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property
+from inspect import signature
 from types import MappingProxyType
 from typing import Any, Generic, NoReturn, TypeVar, overload
 
@@ -30,18 +31,19 @@ from jaxbound.models.signals import (
 from jaxbound.models.statedtests import StatedTest, StatedTests, stated_tests
 from jaxbound.models.times import times_of
 from jaxbound.models.uncertainty import Uncertainty, centred
-from jaxbound.models.unknown import Bounded, Coupling, without_descriptor
+from jaxbound.models.unknown import Bounded, Coupling, Given, without_descriptor
 from jaxbound.recordings.factors import Factor
 from jaxbound.text.objects import readable
 from jaxbound.text.units import without_unit
 
-__all__ = ["FOR_OBSERVER", "TO_THE_END", "LinearSystem", "matrices_at_zero"]
+__all__ = ["FOR_OBSERVER", "ORIGINS", "TO_THE_END", "LinearSystem", "matrices_at_zero"]
 
 FOR_OBSERVER = "for an observer"
 """Words in the provenance of bounds from data that were found for one, not for windows."""
 TO_THE_END = "from start to end"
 """Words in the provenance of bounds that explain whole recordings: they hold for windows and observers."""
 ORIGINS = ("tolerance", "noise", "resolution", "disturbance", "model")
+"""Of which a model may state where they come from."""
 
 T = TypeVar("T")
 
@@ -221,19 +223,17 @@ class LinearSystem:
         faults: Sequence[NamedFault] = (),
     ) -> None:
         refuse_state_space(A)
+        given = Given(A, B, C, D, disturbance, unknown_inputs)
         if E is not None:
             if np.size(np.asarray(uncertainties, object)):
                 raise ValueError(
                     "E and uncertainties do not go together: solve the equations for x+ first, or decouple "
                     "the parameters"
                 )
-            A, B, C, D, disturbance, unknown_inputs, states = without_descriptor(
-                E, A, B, C, D, disturbance, unknown_inputs, states
-            )
-        parts = plant(A, B, C, D, dt, disturbance, unknown_inputs, uncertainties, decouple)
-        signals = model_signals(
-            (parts.m, parts.p, parts.n), inputs, outputs, states, offset, units, columns, ranges
-        )
+            given, states = without_descriptor(E, given, states)
+        parts = plant(given, dt, uncertainties, decouple)
+        sizes, names = (parts.m, parts.p, parts.n), (inputs, outputs, states)
+        signals = model_signals(sizes, names, offset, units, columns, ranges)
         refuse_other_every(signals.columns, parts.dt, bool(times))
         length, sparse = _window(horizon, lags)
         measured = sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance)
@@ -280,32 +280,12 @@ class LinearSystem:
 
     def _arguments(self) -> dict[str, Any]:
         """Return arguments that build this very model."""
-        return matrices_at_zero(self) | {
-            "dt": self.dt,
-            "tolerance": self.tolerance,
-            "noise": self.noise,
-            "times": self.times,
-            "constant_tolerance": self.constant_tolerance,
-            "resolution": self.resolution,
+        own = matrices_at_zero(self) | {
             "unknown_inputs": (self.F, self.D_v) if self.d else None,
             "disturbance": (self.G, self.disturbance) if self.g else None,
-            "uncertainties": self.uncertainties,
-            "inputs": self.inputs,
-            "outputs": self.outputs,
-            "states": self.states,
-            "units": self.units,
-            "offset": self.offset,
-            "columns": self.columns,
-            "ranges": self.ranges,
-            "provenance": self.provenance,
-            "name": self.name,
             "horizon": self.horizon if self.lags is None else None,
-            "lags": self.lags,
-            "averages": self.averages,
-            "left_out": self.left_out,
-            "tests": self.tests,
-            "faults": self.faults,
         }
+        return own | {name: getattr(self, name) for name in ARGUMENTS if name not in own}
 
     @property
     def times(self) -> Mapping[str, str]:
@@ -411,6 +391,10 @@ class LinearSystem:
             window = f", horizon {self.horizon}"
         signals = f"inputs {list(self.inputs)}, outputs {list(self.outputs)}"
         return f"{type(self).__name__}({self.name!r}: {self.n} states, {signals}, dt={self.dt:g} s{window})"
+
+
+ARGUMENTS = tuple(name for name in signature(LinearSystem).parameters if name not in ("E", "decouple"))
+"""Arguments by which a model is built anew: it is solved for x+, and decoupled."""
 
 
 def matrices_at_zero(model: LinearSystem) -> dict[str, Matrix]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number
-from jaxbound.models.numbers import exact_matrix
+from jaxbound.models.numbers import exact_matrix, ordered_pair
 from jaxbound.text.objects import readable
 
 __all__ = ["Uncertainty", "centred", "coefficient", "influences"]
@@ -76,17 +76,8 @@ class Uncertainty:
             raise ValueError(f"uncertainty {name!r} acts on nothing: give its coefficient in A, B, C or D")
         if not isinstance(varying, (bool, np.bool_)):
             raise ValueError(f"varying of uncertainty {name!r} must be True or False, not {varying!r}")
-        try:
-            lo, hi = (linalg.rational(x) for x in between)
-        except (ValueError, TypeError):
-            raise ValueError(
-                f"between of uncertainty {name!r} needs two numbers, lowest and highest: not {between!r}"
-            ) from None
-        if lo >= hi:
-            raise ValueError(
-                f"between of uncertainty {name!r} needs lo < hi, not [{float(lo):g}, {float(hi):g}]"
-            )
-        vars(self).update(name=name, **matrices, varying=bool(varying), between=(lo, hi))
+        bounds = ordered_pair(f"between of uncertainty {name!r}", between, apart=True)
+        vars(self).update(name=name, **matrices, varying=bool(varying), between=bounds)
 
     @property
     def centre(self) -> Fraction:

@@ -3,7 +3,7 @@ states that no equation determines.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TypeAlias, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 
@@ -13,12 +13,44 @@ from jaxbound.models.numbers import entries_of, exact_matrix
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.text.names import listed
 
-__all__ = ["Bounded", "Coupling", "decoupled", "explicit", "unbounded_inputs", "without_descriptor"]
+__all__ = [
+    "Bounded",
+    "Coupling",
+    "Given",
+    "Matrices",
+    "decoupled",
+    "explicit",
+    "unbounded_inputs",
+    "without_descriptor",
+]
 
 Coupling: TypeAlias = MatrixLike | tuple[MatrixLike, MatrixLike]
 """How unknown inputs are given: F, or (F, D_v)."""
 Bounded: TypeAlias = tuple[MatrixLike, Number | Sequence[Number | Sequence[Number]] | np.ndarray]
 """How a disturbance is given: (G, bound)."""
+
+
+class Given(NamedTuple):
+    """A plant as it is given; the fields are arguments of a LinearSystem."""
+
+    A: MatrixLike | None
+    B: MatrixLike | None
+    C: MatrixLike | None
+    D: MatrixLike | None
+    disturbance: Bounded | None
+    unknown_inputs: Coupling | None
+
+
+class Matrices(NamedTuple):
+    """The matrices of x+ = A x + B u + G w + F v, y = C x + D u + D_v v, exact."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    G: Matrix
+    F: Matrix
+    D_v: Matrix
 
 
 def unbounded_inputs(given: Coupling | None, n: int, p: int) -> tuple[Matrix, Matrix]:
@@ -98,11 +130,9 @@ def _width(*matrices: Matrix | None) -> int:
     return 0
 
 
-def explicit(
-    E: Matrix, A: Matrix, B: Matrix, C: Matrix, D: Matrix, G: Matrix, F: Matrix, D_v: Matrix
-) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix, Matrix, Matrix, tuple[int, ...] | None]:
-    """Bring E z+ = A z + B u + G w + F v, y = C z + D u + D_v v into the form of a model: return (A, B, C, D,
-    G, F, D_v, states).
+def explicit(E: Matrix, given: Matrices) -> tuple[Matrices, tuple[int, ...] | None]:
+    """Bring E z+ = A z + B u + G w + F v, y = C z + D u + D_v v into the form of a model: return (its
+    matrices, states).
 
     E (r, n) may be singular and need not be square. The new state x is what E determines, the reduced rows of
     E times z; the rest of z is driven by no equation and becomes unknown inputs. An equation without z+ is
@@ -112,6 +142,7 @@ def explicit(
     Raises:
         ValueError: an equation without z+ that restricts the state, or puts a disturbance into an output.
     """
+    A, B, C, D, G, F, D_v = given
     r, n, k_u, k_w = len(E), len(E[0]), len(B[0]), len(G[0])
     reduced, pivots = linalg.row_reduce(linalg.beside(E, linalg.identity(r)))
     determined = tuple(j for j in pivots if j < n)
@@ -140,16 +171,16 @@ def explicit(
         )
     left = [j for j in range(stated, stated + n - k + len(D_v[0])) if j not in solved]
     is_picked = all(sum(map(bool, row)) == 1 for row in x)
-    return (
-        columns_of(rows, state),
-        columns_of(rows, inputs),
-        columns_of(outputs, state),
-        columns_of(outputs, inputs),
-        columns_of(rows, disturbances),
-        columns_of(rows, left),
-        columns_of(outputs, left),
-        determined if is_picked else None,
+    solved_for = Matrices(
+        A=columns_of(rows, state),
+        B=columns_of(rows, inputs),
+        C=columns_of(outputs, state),
+        D=columns_of(outputs, inputs),
+        G=columns_of(rows, disturbances),
+        F=columns_of(rows, left),
+        D_v=columns_of(outputs, left),
     )
+    return solved_for, determined if is_picked else None
 
 
 def _solved(equations: Matrix, known: int) -> dict[int, Vector]:
@@ -182,30 +213,22 @@ def _eliminated(rows: Matrix, solved: Mapping[int, Vector]) -> Matrix:
 
 
 def without_descriptor(
-    E: MatrixLike,
-    A: MatrixLike | None,
-    B: MatrixLike | None,
-    C: MatrixLike | None,
-    D: MatrixLike | None,
-    disturbance: Bounded | None,
-    coupled: Coupling | None,
-    states: str | Sequence[str] | None,
-) -> tuple[Matrix, Matrix, Matrix, Matrix, Bounded | None, Coupling | None, list[str] | None]:
-    """Return (A, B, C, D, disturbance, unknown_inputs, states) of a model without E from the fields of one
-    with it, see `explicit`.
+    E: MatrixLike, given: Given, states: str | Sequence[str] | None
+) -> tuple[Given, list[str] | None]:
+    """Return (the plant without E, its states) of one with it, see `explicit`.
 
     Raises ValueError: shapes that do not fit, and as `explicit`.
     """
-    descriptor, exact_A, exact_C = exact_matrix("E", E), exact_matrix("A", A), exact_matrix("C", C)
-    r, n, p = len(descriptor), len(descriptor[0]), len(exact_C)
-    exact_B = entries_of("B", B) or linalg.zeros(r, 0)
-    m = len(exact_B[0])
-    exact_D = entries_of("D", D) or linalg.zeros(p, m)
-    G = linalg.zeros(r, 0)
-    if disturbance is not None:
-        G = exact_matrix("G", disturbance[0])
+    descriptor, A, C = exact_matrix("E", E), exact_matrix("A", given.A), exact_matrix("C", given.C)
+    r, n, p = len(descriptor), len(descriptor[0]), len(C)
+    B = entries_of("B", given.B) or linalg.zeros(r, 0)
+    m = len(B[0])
+    D = entries_of("D", given.D) or linalg.zeros(p, m)
+    G, bound = linalg.zeros(r, 0), None
+    if given.disturbance is not None:
+        G, bound = exact_matrix("G", given.disturbance[0]), given.disturbance[1]
     shapes = ((r, n), (r, m), (p, n), (p, m), (r, len(G[0])))
-    for letter, M, shape in zip("ABCDG", (exact_A, exact_B, exact_C, exact_D, G), shapes, strict=True):
+    for letter, M, shape in zip("ABCDG", (A, B, C, D, G), shapes, strict=True):
         if (len(M), len(M[0])) != shape:
             raise ValueError(
                 f"{letter} must have shape {shape} to fit E, {(r, n)}: its shape is {(len(M), len(M[0]))}"
@@ -213,12 +236,11 @@ def without_descriptor(
     names = [states] if isinstance(states, str) else states
     if names is not None and len(names) != n:
         raise ValueError(f"states needs {n} names, one for each: {len(names)} given")
-    F, D_v = unbounded_inputs(coupled, r, p)
-    kept_A, kept_B, kept_C, kept_D, G, F, D_v, numbers = explicit(
-        descriptor, exact_A, exact_B, exact_C, exact_D, G, F, D_v
-    )
-    bounded = None if disturbance is None else (G, disturbance[1])
-    coupling = (F, D_v) if D_v[0] else None
+    unknown = unbounded_inputs(given.unknown_inputs, r, p)
+    kept, numbers = explicit(descriptor, Matrices(A, B, C, D, G, *unknown))
+    bounded = None if bound is None else (kept.G, bound)
+    coupling = (kept.F, kept.D_v) if kept.D_v[0] else None
+    plain = Given(kept.A, kept.B, kept.C, kept.D, bounded, coupling)
     if names is None or numbers is None:
-        return kept_A, kept_B, kept_C, kept_D, bounded, coupling, None
-    return kept_A, kept_B, kept_C, kept_D, bounded, coupling, [names[j] for j in numbers]
+        return plain, None
+    return plain, [names[j] for j in numbers]

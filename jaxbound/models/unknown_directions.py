@@ -19,17 +19,15 @@ Source: Basile, Marro 1992, 4.1 (the least conditioned invariant that holds rang
 that unknown inputs do not disturb, for N = 0: rank C F = rank F).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import combinations, islice
-from typing import Any
 
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector, columns_of
-from jaxbound.models.named_faults import faults_beside_states
-from jaxbound.models.system import LinearSystem, matrices_at_zero
-from jaxbound.models.uncertainty import Uncertainty, coefficient
+from jaxbound.models.more_states import more_states
+from jaxbound.models.system import LinearSystem
 
 __all__ = ["Directions", "Way", "unknown_directions", "with_direct_states"]
 
@@ -196,40 +194,16 @@ def with_direct_states(model: LinearSystem) -> LinearSystem:
     direct = [j for j, column in enumerate(linalg.transpose(model.D_v)) if any(column)]
     if not direct:
         return model
-    k = len(direct)
-    parameters = []
-    for u in model.uncertainties:
-        parts = {letter: coefficient(u, letter) for letter in "ABCD"}
-        parts = _with_states(model, parts, linalg.zeros(model.n, k), linalg.zeros(model.p, k))
-        parameters.append(Uncertainty(u.name, **parts, varying=u.varying, between=u.between))
-    on_states, on_outputs = columns_of(model.F, direct), columns_of(model.D_v, direct)
+    k, n = len(direct), model.n
+    columns = columns_of(model.F, direct), columns_of(model.D_v, direct)
+    none = linalg.zeros(n, k), linalg.zeros(model.p, k)
+    names = [f"unknown input {j + 1}" for j in direct]
+    changes = more_states(model, names, lambda _: columns, lambda _: none, linalg.zeros(k, k))
     # What acted on an output at once now acts on its own state, which the next step brings.
     others = [[ZERO if j in direct else x for j, x in enumerate(row)] for row in model.F]
     own = linalg.identity(model.d)
-    changes: dict[str, Any] = dict(
-        _with_states(model, matrices_at_zero(model), on_states, on_outputs),
-        uncertainties=parameters,
-        faults=faults_beside_states(model.faults, k),
-        states=(*model.states, *(f"unknown input {j + 1}" for j in direct)),
-        disturbance=(model.G + linalg.zeros(k, model.g), model.disturbance) if model.g else None,
-        unknown_inputs=[*others, *(own[j] for j in direct)],
-    )
+    changes["unknown_inputs"] = [*others, *(own[j] for j in direct)]
     return model.replace(**changes)
-
-
-def _with_states(
-    model: LinearSystem, part: Mapping[str, Matrix | None], F: Matrix, D_v: Matrix
-) -> dict[str, Matrix | None]:
-    """Return matrices with the states of unknown inputs: F and D_v are their columns in A and C."""
-    k = len(F[0])
-    A, B, C = part["A"], part["B"], part["C"]
-    if A:
-        A = linalg.beside(A, F) + linalg.zeros(k, model.n + k)
-    if B and B[0]:
-        B = B + linalg.zeros(k, model.m)
-    if C:
-        C = linalg.beside(C, D_v)
-    return {"A": A, "B": B, "C": C, "D": part["D"]}
 
 
 def _less(a: Matrix, b: Matrix) -> Matrix:

@@ -15,7 +15,6 @@ Source: Adrot, Maquin, Ragot 2000, (3), (10), (12).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from fractions import Fraction
 from functools import lru_cache
 from itertools import chain
@@ -24,13 +23,11 @@ import numpy as np
 
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
-from jaxbound.models.rows import BoundedSum, Row, WindowRows
+from jaxbound.models.rows import Row, WindowRows
 from jaxbound.models.system import LinearSystem
 
 __all__ = [
     "ParameterForm",
-    "bounded_sums",
-    "changed_sums",
     "disturbance_form",
     "first_form",
     "input_lags",
@@ -56,21 +53,10 @@ def unknown_lags(model: LinearSystem, horizon: int) -> int:
     return horizon + 1 if model.has_direct_unknown else horizon
 
 
-def bounded_sums(model: LinearSystem) -> tuple[BoundedSum, ...]:
-    """Return the bounds of a model on sums of errors, in the order of their rows."""
-    return model.averages
-
-
-def changed_sums(model: LinearSystem, bounds: Sequence[Fraction]) -> dict[str, tuple[BoundedSum, ...]]:
-    """Return the changes of `LinearSystem.replace` that give the sums of a model other bounds."""
-    averages = [replace(a, bound=bound) for a, bound in zip(model.averages, bounds, strict=True)]
-    return {"averages": tuple(averages)}
-
-
 @lru_cache(maxsize=64)
 def window_rows(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None = None) -> WindowRows:
     """Return the rows of a model's windows of horizon + 1 samples. lags: see `parity_relations`."""
-    sums = tuple(bounded.weighted_sum(model.outputs) for bounded in bounded_sums(model))
+    sums = tuple(bounded.weighted_sum(model.outputs) for bounded in model.averages)
     return WindowRows(model.p, model.g, horizon, lags, sums)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxbound.plots.canvas import FAULTY, GRID, INK, canvas, style
+from jaxbound.plots.canvas import FAULTY, GRID, INK, LINES, canvas, style
 from jaxbound.plots.plot import plot
 from jaxbound.studies.assessment.assessment import Assessment, Marks
 
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["plot_assessment"]
-
-LINES = ("#56b4e9", "#cc79a7", "#e69f00", "#0072b2", "#6fcfb0")
 
 
 @plot.register(Assessment)
@@ -28,20 +26,17 @@ def plot_assessment(res: Assessment) -> "Figure":
         A matplotlib Figure. A curve needs healthy and faulty windows both; without them its chart is empty.
     """
     with style():
-        fig = canvas((6.4, 5.2))
+        fig = canvas((6.4, 5.2), "constrained")
         ax = fig.subplots()
         for number, peer in enumerate(res.peers):
-            _draw(ax, peer, LINES[number % len(LINES)], 1.2)
+            _draw(ax, peer, LINES[1 + number % (len(LINES) - 1)], 1.2)
         _draw(ax, res.marks, INK, 2.0)
         k, n = res.rules[0]
         ax.set_title(f"Alarms by the rule {k}/{n}; marks: bounds and thresholds as they are")
-        ax.set_xlabel("healthy windows in alarm")
-        ax.set_ylabel("faulty windows in alarm")
-        ax.set_xlim(-0.02, 1.02)
-        ax.set_ylim(-0.02, 1.02)
+        ax.set(xlabel="healthy windows in alarm", ylabel="faulty windows in alarm")
+        ax.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
         ax.grid(color=GRID, lw=0.6)
         ax.legend(fontsize=8, loc="lower right")
-        fig.subplots_adjust(left=0.11, right=0.97, top=0.92, bottom=0.11)
     return fig
 
 
@@ -50,5 +45,4 @@ def _draw(ax: "Axes", marks: Marks, colour: str, width: float) -> None:
     _, false, caught = np.transpose(marks.curve)
     ax.plot(false, caught, color=colour, lw=width, label=marks.name)
     own = marks.at(1.0)
-    edge = FAULTY if width > 1.5 else colour
-    ax.plot([own.false_share], [own.caught_share], "o", color=colour, mec=edge, ms=6)
+    ax.plot([own.false_share], [own.caught_share], "o", color=colour, mec=FAULTY, ms=6)

@@ -26,12 +26,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Band", "draw_band", "draw_bands", "name_band", "one_of", "one_recording", "one_signal"]
+__all__ = ["Band", "draw_bands", "one_of", "one_recording", "one_signal"]
 
 
 class Band(NamedTuple):
-    """One panel of a picture of bands: its title, and what `draw_band` takes, y None where nothing was
-    measured.
+    """One panel of a picture of bands, of one signal over (T,) samples.
+
+    Fields: title. band: infinite where nothing is known, lo > hi where nothing is left. y: the samples; None:
+    nothing was measured. faulty: which of them are marked. middle: a band whose middle stands in where a
+    sample is faulty or missing, or None.
     """
 
     title: str
@@ -94,18 +97,12 @@ def draw_bands(
     with style():
         fig, axes = stacked(len(drawn), (11, 1.6 + 1.8 * len(drawn)), [1] * len(drawn))
         for ax, panel in zip(axes, drawn, strict=True):
-            y = panel.y
-            if y is None:
-                y = np.full(count, np.nan)
-            draw_band(ax, panel.band, y, panel.faulty, at, edges, count, panel.middle, name)
-            ax.set_title(panel.title + thinned, pad=6, parse_math=False)
+            _draw(ax, panel, at[edges], edges, name)
+            ax.set_title(panel.title + thinned, pad=6)
         if len(panels) > PANELS:
             more = f"; the first {PANELS} of {len(panels)} {what} are shown"
-            axes[0].set_title(drawn[0].title + more + thinned, pad=6, parse_math=False)
-        without = None
-        if panels[0].y is None:
-            without = "measured"
-        name_band(axes[0], without)
+            axes[0].set_title(drawn[0].title + more + thinned, pad=6)
+        _name(axes[0], panels[0].y is not None)
         finish(fig, axes, at, label, dates, top=0.7, gap=0.36)
     return fig
 
@@ -122,83 +119,56 @@ def one_signal(y: np.ndarray | None, i: int) -> np.ndarray | None:
     return y[:, i]
 
 
-def name_band(ax: "Axes", without: str | None = None) -> None:
-    """Name the lines and areas above the axes; without the names that begin so."""
-    handles, labels = ax.get_legend_handles_labels()
-    drawn = dict(zip(labels, handles, strict=True))
-    named = [name for name in drawn if name != "FAULT" and not (without and name.startswith(without))]
-    ax.legend(
-        [drawn[name] for name in named],
-        named,
-        loc="lower right",
-        ncols=4,
-        bbox_to_anchor=(1.0, 1.0),
-        borderaxespad=0.2,
-    )
+def _name(ax: "Axes", is_measured: bool) -> None:
+    """Name the lines and areas above the axes; samples where some were measured."""
+    named = {}
+    for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+        if label != "FAULT" and (is_measured or not label.startswith("measured")):
+            named[label] = handle
+    ax.legend(named.values(), named, loc="lower right", ncols=4, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
 
 
-def draw_band(
-    ax: "Axes",
-    band: Interval,
-    y: np.ndarray,
-    faulty: np.ndarray,
-    x: np.ndarray,
-    edges: np.ndarray,
-    stop: int,
-    middle: Interval | None = None,
-    name: str = "by accepted samples",
-) -> None:
-    """Draw a band and the samples y of one signal, the bins that start at the samples `edges`, one sample
-    each or the extremes of many.
+def _draw(ax: "Axes", panel: Band, at: np.ndarray, edges: np.ndarray, name: str) -> None:
+    """Draw a band of that name and its samples: one by one, or the extremes of bins.
 
     Args:
-        band: (T,), infinite where nothing is known, lo > hi where nothing is left. y, faulty: (T,) samples,
-            and which of them are marked.
-        x: (T,) time. stop: the sample behind the last bin. middle: (T,), whose middle stands in where a
-            sample is faulty or missing, or None. name: of the band.
+        at: the time of each bin. edges: the sample at which it starts.
     """
-    lo, hi = (_finite(end)[:stop] for end in (band.lo, band.hi))
+    lo, hi = _finite(panel.band.lo), _finite(panel.band.hi)
     lo, hi = (np.where(lo > hi, np.nan, end) for end in (lo, hi))  # nothing is left
-    y, faulty = y[:stop], faulty[:stop]
-    at, lo, hi = x[edges], np.fmin.reduceat(lo, edges), np.fmax.reduceat(hi, edges)
-    healthy, wrong = np.where(faulty, np.nan, y), np.where(faulty, y, np.nan)
+    faulty = panel.faulty
+    y = panel.y
+    if y is None:
+        y = np.full(len(faulty), np.nan)
+    lo, hi = np.fmin.reduceat(lo, edges), np.fmax.reduceat(hi, edges)
     shade(ax, at, np.maximum.reduceat(faulty, edges))
     ax.fill_between(at, lo, hi, color=ENVELOPE, alpha=0.35, lw=0, label=name)
     for edge in (lo, hi):
         ax.plot(at, edge, color="#0072b2", lw=0.6, alpha=0.8)
-    if stop - edges[0] > len(edges):
-        _fill(ax, at, healthy, edges, color="#57606a", lw=0.5, alpha=0.7, label="measured")
-        _fill(ax, at, wrong, edges, color=FAULTY, lw=1.2, label="measured, faulty")
+    healthy = _extremes(np.where(faulty, np.nan, y), edges)
+    wrong = _extremes(np.where(faulty, y, np.nan), edges)
+    if len(y) > len(edges):
+        ax.fill_between(at, *healthy, color="#57606a", lw=0.5, alpha=0.7, label="measured")
+        ax.fill_between(at, *wrong, color=FAULTY, lw=1.2, label="measured, faulty")
     else:
-        ax.plot(at, healthy[edges], color="#57606a", lw=0.8, marker=".", ms=2.5, label="measured")
-        ax.plot(at, wrong[edges], color=FAULTY, ls="", marker="x", ms=4, label="measured, faulty")
-    if middle is not None:
-        lower, upper = (_finite(end)[:stop] for end in (middle.lo, middle.hi))
-        centre = np.where(faulty | np.isnan(y), (lower + upper) / 2, np.nan)
-        drawn = (np.fmin.reduceat(centre, edges) + np.fmax.reduceat(centre, edges)) / 2
-        ax.plot(at, drawn, color=INK, lw=1.3, label="corrected")
-    _limits(ax, lo, hi, np.concatenate([np.fmin.reduceat(y, edges), np.fmax.reduceat(y, edges)]))
+        ax.plot(at, healthy[0], color="#57606a", lw=0.8, marker=".", ms=2.5, label="measured")
+        ax.plot(at, wrong[0], color=FAULTY, ls="", marker="x", ms=4, label="measured, faulty")
+    if panel.middle is not None:
+        centre = (_finite(panel.middle.lo) + _finite(panel.middle.hi)) / 2
+        least, most = _extremes(np.where(faulty | np.isnan(y), centre, np.nan), edges)
+        ax.plot(at, (least + most) / 2, color=INK, lw=1.3, label="corrected")
+    _limits(ax, lo, hi, np.concatenate(_extremes(y, edges)))
     ax.grid(color=GRID, lw=0.7)
+
+
+def _extremes(y: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (least, most) of the samples of each bin."""
+    return np.fmin.reduceat(y, edges), np.fmax.reduceat(y, edges)
 
 
 def _finite(ends: ArrayLike) -> np.ndarray:
     """Return the ends of a band with NaN where it has none."""
     return np.where(np.isfinite(ends), ends, np.nan)
-
-
-def _fill(
-    ax: "Axes",
-    at: np.ndarray,
-    y: np.ndarray,
-    edges: np.ndarray,
-    color: str,
-    lw: float,
-    label: str,
-    alpha: float | None = None,
-) -> None:
-    """Fill between the extremes of samples in each bin."""
-    least, most = np.fmin.reduceat(y, edges), np.fmax.reduceat(y, edges)
-    ax.fill_between(at, least, most, color=color, lw=lw, alpha=alpha, label=label)
 
 
 def _limits(ax: "Axes", lo: np.ndarray, hi: np.ndarray, y: np.ndarray) -> None:

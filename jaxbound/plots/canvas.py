@@ -7,9 +7,9 @@ too, so that they do on a grey print. Recordings of more than 5000 samples are d
 bins; a bin with a single FAULT window is drawn as FAULT.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -24,9 +24,11 @@ if TYPE_CHECKING:
 __all__ = [
     "bins",
     "canvas",
+    "chart",
     "finish",
     "inside",
     "label_time",
+    "note",
     "shade",
     "stacked",
     "style",
@@ -44,6 +46,8 @@ COLOURS = {
 }
 INK, ENVELOPE, GRID, FAULTY = "#16324f", "#56b4e9", "#e3e6ea", COLOURS[Status.FAULT]
 PALE = "#eef1f4"
+LINES = INK, ENVELOPE, "#e69f00", "#6fcfb0", "#cc79a7", "#f0e442", "#0072b2", "#999999"
+"""Of several lines or sets in one chart."""
 CALM = "#d3e9f8"
 """In place of UNDECIDED where that is what a healthy sample is: as pages have it."""
 SAMPLES, BINS, PANELS = 5000, 1200, 12
@@ -62,7 +66,7 @@ STYLE: "dict[RcKeyType, object]" = {
     "legend.frameon": False,
     "axes.axisbelow": True,
     "font.family": "DejaVu Sans",
-    "mathtext.fontset": "dejavusans",
+    "text.parse_math": False,  # a name with dollar signs stands as it is
 }
 
 
@@ -80,14 +84,31 @@ def style() -> AbstractContextManager[None]:
     return matplotlib.rc_context(STYLE)
 
 
-def canvas(size: tuple[float, float]) -> "Figure":
-    """Return an empty Figure of a size in inches, with its own canvas; notebooks show it."""
+def canvas(size: tuple[float, float], layout: "Literal['constrained'] | None" = None) -> "Figure":
+    """Return an empty Figure of a size in inches, with its own canvas; notebooks show it. layout: finds room
+    for labels.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     from jaxbound.plots.picture import Picture
 
-    fig = Picture(figsize=size)
+    fig = Picture(figsize=size, layout=layout)
     FigureCanvasAgg(fig)
+    return fig
+
+
+def chart(
+    draw: "Callable[[Axes], object]", size: tuple[float, float], title: str, ax: "Axes | None"
+) -> "Figure | Axes":
+    """Draw one chart into an Axes, or into a figure of its own, of a size in inches."""
+    if ax is not None:
+        draw(ax)
+        ax.set_title(title, parse_math=False)  # of a figure that another style has made
+        return ax
+    with style():
+        fig = canvas(size, "constrained")
+        draw(fig.subplots())
+        fig.suptitle(title, x=0.02, ha="left", fontsize=10.5, color=INK)
     return fig
 
 
@@ -205,3 +226,8 @@ def label_time(ax: "Axes", x: np.ndarray, label: str, dates: bool) -> None:
         locator = AutoDateLocator()  # type: ignore[no-untyped-call]  # matplotlib
         ax.xaxis.set_major_locator(locator)
         ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
+
+
+def note(ax: "Axes", words: str, colour: str = "#57606a") -> None:
+    """Write words into the middle of an Axes in which nothing is drawn."""
+    ax.text(0.5, 0.5, words, ha="center", va="center", transform=ax.transAxes, color=colour)

@@ -12,7 +12,6 @@ import numpy as np
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.exact_window import ExactWindow, exact_window
 from jaxbound.models.rows import Row
-from jaxbound.models.window import bounded_sums
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.intervals.interval import Interval
 
@@ -196,7 +195,7 @@ def _readings(
 
 def _sum(window: ExactWindow, samples: _Samples, row: Row) -> tuple[np.ndarray | float, np.ndarray | float]:
     """Return (middle, half-width) of a weighted sum of true outputs in every window."""
-    p, values, bound = window.model.p, row.values, float(bounded_sums(window.model)[row.number].bound)
+    p, values, bound = window.model.p, row.values, float(window.model.averages[row.number].bound)
     if not values.measured:
         return 0.0, bound
     middle: np.ndarray | float = 0.0

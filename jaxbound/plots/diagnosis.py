@@ -1,9 +1,10 @@
 """The picture of a diagnosis: how large each named fault is at least, if it alone is the cause."""
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from jaxbound.certificates.diagnosis import Diagnosis
-from jaxbound.plots.canvas import FAULTY, GRID, INK, canvas, style
+from jaxbound.plots.canvas import FAULTY, GRID, INK, chart
 from jaxbound.plots.plot import plot
 
 if TYPE_CHECKING:
@@ -23,24 +24,11 @@ def plot_diagnosis(found: Diagnosis, ax: "Axes | None" = None) -> "Figure | Axes
     title = "No named fault explains this"
     if found.explains:
         title = f"Smallest size that explains it: {found.first}"
-    if ax is not None:
-        _draw(ax, found)
-        ax.set_title(title)
-        return ax
-    rows = len(found.lines)
-    with style():
-        fig = canvas((8.4, 1.3 + INCHES * max(rows, 1)))
-        ax = fig.subplots()
-        _draw(ax, found)
-        fig.suptitle(title, x=0.02, ha="left", fontsize=10.5, color=INK)
-        height = fig.get_figheight()
-        longest = max((len(label.get_text()) for label in ax.get_yticklabels()), default=0)
-        left = min(0.5, 0.03 + 0.0105 * longest)
-        fig.subplots_adjust(left=left, right=0.97, top=1 - 0.45 / height, bottom=0.6 / height)
-    return fig
+    size = (8.4, 1.3 + INCHES * max(len(found.lines), 1))
+    return chart(partial(_draw, found), size, title, ax)
 
 
-def _draw(ax: "Axes", found: Diagnosis) -> None:
+def _draw(found: Diagnosis, ax: "Axes") -> None:
     """Draw the rows of a diagnosis, the most plausible fault on top."""
     names: list[str] = []
     lengths = [float(share) for share in found.shares.values()]

@@ -55,18 +55,12 @@ def figure_1() -> "Figure":
     final = pave(paper_example, box, target, q=10)
     levels = [pave(paper_example, box, target, q=10, max_depth=d).boxes for d in range(18)]
     with style():
-        fig = canvas((11, 4.9))
+        fig = canvas((11, 4.9), "constrained")
         left, right = fig.subplots(1, 2)
         _boxes(left, whole.images, facecolor="#eef1f4", edgecolor="#8a9099", lw=1.2, label="box of A(p)")
         for paving, q, colour in zip(pavings, (10, 20), ("#a9d8f5", "#56b4e9"), strict=True):
-            _boxes(
-                left,
-                paving.images,
-                facecolor=colour,
-                edgecolor="white",
-                lw=0.25,
-                label=f"paving, q = {q}: area {paving.area():.3f}",
-            )
+            name = f"paving, q = {q}: area {paving.area():.3f}"
+            _boxes(left, paving.images, facecolor=colour, edgecolor="white", lw=0.25, label=name)
         p2 = np.linspace(-4, 1, 2001)
         a, b = np.maximum(-1, 1 + p2), np.minimum(2, 3 + p2)
         vertex = np.clip(-0.25, a, b)  # of the parabola p1 = 2 z1^2 + z1 - p2, as near as z2 lets z1 come
@@ -74,25 +68,17 @@ def figure_1() -> "Figure":
         lo, hi = at_vertex, np.maximum(at_a, at_b)
         left.fill_betweenx(p2, lo, hi, facecolor=INK, lw=0, label="A(p) exactly: area 21.375")
         left.plot(*target, marker="o", color=FAULTY, ms=6, mec="white", ls="", label="tested point (2, -2)")
-        left.set(xlabel="$p_1$", ylabel="$p_2$", xlim=(0.5, 11.5), ylim=(-4.3, 3.4), title="Residual space")
+        left.set(xlabel="p1", ylabel="p2", xlim=(0.5, 11.5), ylim=(-4.3, 3.4), title="Residual space")
         left.legend(loc="upper center", ncols=2, fontsize=8.5)
         for boxes in levels:
             _boxes(right, boxes, facecolor="none", edgecolor="#8a9099", lw=0.5)
-        _boxes(
-            right,
-            final.boxes,
-            facecolor=FAULTY,
-            edgecolor=FAULTY,
-            lw=2.2,
-            label=f"{len(final.boxes)} boxes kept",
-        )
-        right.plot(
-            [-0.5, 0], [1.5, 2], "o", mfc="none", mec=INK, ms=15, label="solutions (-.5, 1.5) and (0, 2)"
-        )
-        right.set(xlabel="$z_1$", ylabel="$z_2$", xlim=(-1.1, 2.1), ylim=(0.95, 3.45))
+        name = f"{len(final.boxes)} boxes kept"
+        _boxes(right, final.boxes, facecolor=FAULTY, edgecolor=FAULTY, lw=2.2, label=name)
+        name = "solutions (-.5, 1.5) and (0, 2)"
+        right.plot([-0.5, 0], [1.5, 2], "o", mfc="none", mec=INK, ms=15, label=name)
+        right.set(xlabel="z1", ylabel="z2", xlim=(-1.1, 2.1), ylim=(0.95, 3.45))
         right.set_title(f"Space of the unknowns: {int(final.evaluated)} boxes evaluated")
         right.legend(loc="upper center", ncols=2, fontsize=8.5)
-        fig.subplots_adjust(left=0.055, right=0.99, bottom=0.1, top=0.93, wspace=0.14)
     return fig
 
 
@@ -113,39 +99,20 @@ def figure_2(trajectory: Trajectory, res: Result, faults: Sequence[Fault] = ()) 
     with style():
         fig, axes = stacked(model.p + 1, (11, 1.6 + 1.8 * model.p), [3] * model.p + [1])
         for i, ax in enumerate(axes[:-1]):
-            ax.plot(
-                x,
-                state @ C[i],
-                color=ENVELOPE,
-                lw=2.2,
-                label=f"{_combination(model.states, model.C[i])} (true)",
-            )
+            name = f"{_combination(model.states, model.C[i])} (true)"
+            ax.plot(x, state @ C[i], color=ENVELOPE, lw=2.2, label=name)
             ax.plot(x, y[:, i], color=INK, lw=0.9, label=f"{model.outputs[i]} (measured)")
-            ax.legend(
-                loc="lower right",
-                ncols=2,
-                fontsize=9,
-                bbox_to_anchor=(1.0, 1.0 if i else 1.09),
-                borderaxespad=0.1,
-            )
+            ax.legend(loc="lower right", ncols=2, fontsize=9, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
             ax.grid(color=GRID, lw=0.7)
         axes[-1].fill_between(x, 0, res.status == Status.FAULT, step="mid", color=FAULTY, lw=0)
         axes[-1].set(yticks=[0, 1], ylim=(0, 1.15), ylabel="fault\nproved")
         for ax in axes:
             for name, f in zip("ABCDEFGH", faults, strict=False):
-                ax.axvspan(
-                    x[f.start], x[(len(x) if f.stop is None else f.stop) - 1], color="#d8dade", zorder=0, lw=0
-                )
+                ax.axvspan(x[f.start], x[f.start : f.stop][-1], color="#d8dade", zorder=0, lw=0)
                 if ax is axes[0]:
                     top = ax.get_xaxis_transform()
-                    ax.text(
-                        x[f.start],
-                        1.0,
-                        f" {name}: {f.kind} of {f.signal}",
-                        transform=top,
-                        va="bottom",
-                        fontsize=9,
-                    )
+                    words = f" {name}: {f.kind} of {f.signal}"
+                    ax.text(x[f.start], 1.0, words, transform=top, va="bottom", fontsize=9)
         finish(fig, axes, x, label, False, top=0.55, gap=0.3)
     return fig
 

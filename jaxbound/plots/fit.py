@@ -32,7 +32,7 @@ def plot_fit(model: Fitted) -> "Figure":
     if check.tradeoff:
         panels += 1
     with style():
-        fig = canvas((11, 0.6 + 2.1 * panels))
+        fig = canvas((11, 0.6 + 2.1 * panels), "constrained")
         axes = fig.subplots(panels, 2, squeeze=False, width_ratios=(3, 1))
         for (title, parts, colour), (line, bars) in zip(rows, axes[: len(rows)], strict=True):
             edges = np.cumsum([0, *map(len, parts)])
@@ -51,15 +51,6 @@ def plot_fit(model: Fitted) -> "Figure":
                 ax.set_ylim(bottom=0)
         axes[len(rows) - 1][0].set_xlabel("sample, recordings one after the other")
         axes[len(rows) - 1][1].set_xlabel("share, > 1: FAULT")
-        spacing = 0.45
         if check.tradeoff:
             draw_tradeoff(axes[-1][0], axes[-1][1], check)
-            spacing = 0.65
-        fig.subplots_adjust(
-            left=0.05,
-            right=0.98,
-            top=1 - 0.3 / fig.get_figheight(),
-            bottom=0.5 / fig.get_figheight(),
-            hspace=spacing,
-        )
     return fig

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxbound.estimation.parameter_set import ParameterSet
-from jaxbound.plots.canvas import ENVELOPE, FAULTY, INK, canvas, style
+from jaxbound.plots.canvas import ENVELOPE, FAULTY, INK, canvas, note, style
 from jaxbound.plots.plot import plot
 
 if TYPE_CHECKING:
@@ -35,15 +35,13 @@ def plot_parameters(found: ParameterSet) -> "Figure":
             return _one(found)
         columns = min(len(pairs), ACROSS)
         rows = -(-len(pairs) // columns)
-        size = (max(SIDE * columns, 5.2), SIDE * rows + 0.4)
-        fig = canvas(size)
+        fig = canvas((max(SIDE * columns, 5.2), SIDE * rows + 0.4), "constrained")
         axes = fig.subplots(rows, columns, squeeze=False).ravel()
         for ax, (i, j) in zip(axes, pairs, strict=False):
             _pair(ax, found, i, j)
         for ax in axes[len(pairs) :]:
             ax.set_visible(False)
         fig.suptitle(_title(found), x=0.02, ha="left", fontsize=10.5, color=INK)
-        fig.tight_layout()
     return fig
 
 
@@ -60,31 +58,26 @@ def _pair(ax: "Axes", found: ParameterSet, i: int, j: int) -> None:
         ax.axvline(end, color=INK, lw=0.8, ls=":")
     for end in found.bounds[found.names[j]]:
         ax.axhline(end, color=INK, lw=0.8, ls=":")
-    ax.set_xlim(_limits(found, found.names[i]))
-    ax.set_ylim(_limits(found, found.names[j]))
+    ax.set(xlim=_limits(found, found.names[i]), ylim=_limits(found, found.names[j]))
+    ax.set(xlabel=_label(found, i), ylabel=_label(found, j))
     if not len(found.lo):
-        ax.text(0.5, 0.5, "no value is left", transform=ax.transAxes, ha="center", color=FAULTY)
-    ax.set_xlabel(_label(found, i))
-    ax.set_ylabel(_label(found, j))
+        note(ax, "no value is left", FAULTY)
 
 
 def _one(found: ParameterSet) -> "Figure":
     """Draw the boxes of one parameter, and the bounds that were searched."""
-    fig = canvas((6.4, 1.7))
+    fig = canvas((6.4, 1.7), "constrained")
     ax = fig.subplots()
     for lo, hi in zip(found.lo[:, 0], found.hi[:, 0], strict=True):
         ax.axvspan(lo, hi, color=ENVELOPE, lw=0)
     for end in found.bounds[found.names[0]]:
         ax.axvline(end, color=INK, lw=0.8, ls=":")
     if not len(found.lo):
-        ax.text(0.5, 0.5, "no value is left", transform=ax.transAxes, ha="center", color=FAULTY)
+        note(ax, "no value is left", FAULTY)
     lo, hi = found.bounds[found.names[0]]
     room = AROUND * (hi - lo)
-    ax.set_xlim(lo - room, hi + room)
-    ax.set_yticks([])
-    ax.set_xlabel(_label(found, 0))
+    ax.set(xlim=(lo - room, hi + room), yticks=[], xlabel=_label(found, 0))
     ax.set_title(_title(found))
-    fig.tight_layout()
     return fig
 
 

@@ -7,8 +7,6 @@ import io
 import warnings
 
 from matplotlib.figure import Figure
-from matplotlib.mathtext import MathTextParser
-from matplotlib.text import Text
 
 __all__ = ["Picture", "png"]
 
@@ -32,16 +30,5 @@ def png(fig: Figure, dpi: int) -> bytes:
     with warnings.catch_warnings():
         # a name in letters that the font does not have
         warnings.filterwarnings("ignore", "Glyph .* missing from")
-        _plain_where_no_formula(fig)
         fig.savefig(out, format="png", dpi=dpi, facecolor="white")
     return out.getvalue()
-
-
-def _plain_where_no_formula(fig: Figure) -> None:
-    """Show a name with dollar signs as it is, unless what is between them can be set as a formula."""
-    for text in fig.findobj(Text):
-        if "$" in text.get_text():
-            try:
-                MathTextParser("path").parse(text.get_text())
-            except ValueError:
-                text.set_parse_math(False)

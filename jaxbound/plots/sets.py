@@ -1,14 +1,14 @@
 """The picture of sets in the plane: their outlines."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
 
-from jaxbound.plots.canvas import COLOURS, ENVELOPE, FAULTY, INK, canvas, style
+from jaxbound.plots.canvas import LINES, chart
 from jaxbound.plots.plot import plot
-from jaxbound.sets.floats.status import Status
 from jaxbound.sets.zonotopes.constrained import ConstrainedZonotope
 from jaxbound.sets.zonotopes.extents import support
 from jaxbound.sets.zonotopes.shapes import vertices
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_set", "plot_sets"]
 
-SERIES = (INK, FAULTY, COLOURS[Status.CONSISTENT], ENVELOPE, COLOURS[Status.UNDECIDED])
 SIDES = 360  # of the polygon drawn around a constrained zonotope
 
 
@@ -44,23 +43,15 @@ def plot_sets(sets: Sequence[Zonotope | ConstrainedZonotope], ax: "Axes | None" 
                 f"{np.shape(getattr(S, 'center', ()))}: "
                 "choose two with linear_map"
             )
-    if ax is not None:
-        _draw(ax, sets)
-        return ax
-    with style():
-        fig = canvas((5.2, 4.6))
-        _draw(fig.subplots(), sets)
-        fig.subplots_adjust(left=0.14, right=0.97, top=0.97, bottom=0.13)
-    return fig
+    return chart(partial(_draw, sets), (5.2, 4.6), "", ax)
 
 
-def _draw(ax: "Axes", sets: Sequence[Zonotope | ConstrainedZonotope]) -> None:
+def _draw(sets: Sequence[Zonotope | ConstrainedZonotope], ax: "Axes") -> None:
     for number, S in enumerate(sets):
-        outline, colour = _outline(S), SERIES[number % len(SERIES)]
+        outline, colour = _outline(S), LINES[number % len(LINES)]
         ax.fill(*outline.T, facecolor=colour, alpha=0.18)
         ax.plot(*np.concatenate([outline, outline[:1]]).T, color=colour, lw=1.6)
-    ax.set_xlabel("first coordinate")
-    ax.set_ylabel("second coordinate")
+    ax.set(xlabel="first coordinate", ylabel="second coordinate")
     ax.set_aspect("equal", "datalim")
 
 

@@ -1,26 +1,120 @@
-"""The picture of a Monte-Carlo study: how many scenarios are detected against the size of the fault, and how
-soon.
+"""The charts of a Monte-Carlo study: how many scenarios are detected against the size of the fault, and how
+soon; and their picture.
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxbound.plots.canvas import COLOURS, FAULTY, GRID, INK, canvas, style
 from jaxbound.plots.plot import plot
 from jaxbound.sets.floats.status import Status
-from jaxbound.studies.montecarlo.scenarios import Trial
+from jaxbound.studies.montecarlo.scenarios import SIZELESS, Trial
 from jaxbound.studies.montecarlo.study_result import StudyResult
 from jaxbound.studies.montecarlo.tally import TrialTally
+from jaxbound.text.quantities import finite
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_study"]
+__all__ = ["FAULTS", "StudyChart", "StudyCurve", "plot_study", "study_charts"]
 
 FAULTS, CURVES = 8, 4
-SEEN = COLOURS[Status.CONSISTENT]
+"""Faults whose charts are drawn, and sizes whose delays are."""
+DELAYS = (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 100000)
+TONES = {"FAULT": FAULTY, "curve": INK}
+
+
+@dataclass(frozen=True)
+class StudyCurve:
+    """A curve of shares.
+
+    Fields: name. colour: "FAULT" or "curve". faint: how strongly it is drawn, 1 fully. x, share, and the ends
+    of its intervals low and high, None: it has none.
+    """
+
+    name: str
+    colour: str
+    faint: float
+    x: np.ndarray
+    share: np.ndarray
+    low: np.ndarray | None = None
+    high: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class StudyChart:
+    """A chart of one fault.
+
+    Fields: title. label: of the axis, "": a fault without a size. delays: whether it is one of delays, else
+    of sizes. ends: of the axis. guaranteed: the size from which on no such fault stays hidden, or None.
+    curves. ticks: of delays; None: those of matplotlib.
+    """
+
+    title: str
+    label: str
+    delays: bool
+    ends: tuple[float, float]
+    guaranteed: float | None
+    curves: Sequence[StudyCurve]
+    ticks: Sequence[int] | None = None
+
+
+def study_charts(res: StudyResult) -> Iterator[StudyChart]:
+    """Yield two charts of each fault, of at most 8: the shares against its size, and the shares detected so
+    soon.
+    """
+    for trial, tally in zip(res.trials[:FAULTS], res.tallies, strict=False):
+        yield _sizes(res, trial, tally)
+        yield _delays(trial, tally)
+
+
+def _sizes(res: StudyResult, trial: Trial, tally: TrialTally) -> StudyChart:
+    """Return the chart of the shares against the size."""
+    order = np.argsort(trial.sizes)
+    x = np.asarray(trial.sizes, float)[order]
+    least, most = float(x[0]), float(x[-1])
+    guaranteed = finite(trial.guaranteed)
+    if guaranteed is not None:
+        least, most = min(least, guaranteed), max(most, guaranteed)
+    room = 0.03 * (most - least) or abs(most) or 1.0
+    curves = []
+    for name, colour, ends in (
+        ("scenarios detected", "FAULT", tally.share(res.confidence)),
+        ("FAULT windows", "curve", tally.rate(res.confidence)),
+    ):
+        share, low, high = (np.asarray(end)[order] for end in ends)
+        curves.append(StudyCurve(name, colour, 1, x, share, low, high))
+    label = _size_label(res, trial)
+    return StudyChart(trial.label, label, False, (least - room, most + room), guaranteed, curves)
+
+
+def _size_label(res: StudyResult, trial: Trial) -> str:
+    """Return the name of the axis of sizes: of a fault that has none, nothing."""
+    if trial.fault is None or trial.fault.kind in SIZELESS:
+        return ""
+    unit = res.model.unit(trial.fault.signal)
+    if not unit or trial.fault.kind in ("gain", "tolerance"):
+        return "size"
+    return f"size [{unit}]"
+
+
+def _delays(trial: Trial, tally: TrialTally) -> StudyChart:
+    """Return the chart of the shares detected within so many samples, for a few of the sizes."""
+    sizes = len(trial.sizes)
+    last = int(np.max(np.flatnonzero(tally.delays.any(0)), initial=1))
+    picked = np.unique(np.linspace(0, sizes - 1, min(CURVES, sizes)).round().astype(int))
+    curves = []
+    for rank, i in enumerate(picked):
+        shares = np.cumsum(tally.delays[i, : last + 2]) / max(tally.scenarios[i], 1)
+        faint = 1 - 0.2 * (len(picked) - 1 - rank)
+        x = np.arange(len(shares))
+        curves.append(StudyCurve(f"size {trial.sizes[i]:.4g}", "FAULT", faint, x, shares))
+    ticks = [t for t in DELAYS if t <= last + 1]
+    return StudyChart("detected by then", "samples from the onset", True, (0, last + 1), None, curves, ticks)
 
 
 @plot.register(StudyResult)
@@ -34,92 +128,42 @@ def plot_study(res: StudyResult) -> "Figure":
     Returns:
         A matplotlib Figure, of at most 8 faults.
     """
-    shown = list(zip(res.trials, res.tallies, strict=True))[:FAULTS]
+    charts = list(study_charts(res))
+    rows = len(charts) // 2
+    false, clean = res.false_alarms
+    title = (
+        f"{res.scenarios} scenarios of {res.model.name}, unknowns {res.at}: {false} false alarms "
+        f"in {clean} windows"
+    )
+    if len(res.trials) > FAULTS:
+        title += f"; {len(res.trials) - FAULTS} more faults"
     with style():
-        fig = canvas((11, 0.9 + 2.9 * len(shown)))
-        axes = fig.subplots(len(shown), 2, squeeze=False)
-        for (trial, tally), (left, right) in zip(shown, axes, strict=True):
-            _draw_sizes(left, res, trial, tally)
-            _draw_delays(right, trial, tally)
-        false, clean = res.false_alarms
-        title = (
-            f"{res.scenarios} scenarios of {res.model.name}, unknowns {res.at}: {false} false alarms "
-            f"in {clean} windows"
-        )
-        if len(res.trials) > FAULTS:
-            title += f"; {len(res.trials) - FAULTS} more faults"
-        height = fig.get_figheight()
-        fig.suptitle(
-            title,
-            x=0.02,
-            y=1 - 0.12 / height,
-            va="top",
-            ha="left",
-            fontsize=10.5,
-            color=INK,
-            parse_math=False,
-        )
-        fig.subplots_adjust(
-            left=0.07, right=0.98, top=1 - 0.75 / height, bottom=0.55 / height, hspace=0.5, wspace=0.16
-        )
+        fig = canvas((11, 0.9 + 2.9 * rows), "constrained")
+        for ax, chart in zip(fig.subplots(rows, 2, squeeze=False).ravel(), charts, strict=True):
+            _draw(ax, chart)
+        fig.suptitle(title, x=0.02, ha="left", fontsize=10.5, color=INK)
     return fig
 
 
-def _draw_sizes(ax: "Axes", res: StudyResult, trial: Trial, tally: TrialTally) -> None:
-    """Draw the share of scenarios detected, and of FAULT windows, against the size of the fault."""
-    order = np.argsort(trial.sizes)
-    share, rate = map(np.nan_to_num, tally.share(res.confidence)), tally.rate(res.confidence)
-    for (value, low, high), colour, name in (
-        (share, FAULTY, "scenarios detected"),
-        (rate, INK, "windows in the fault that are FAULT"),
-    ):
-        x = trial.sizes[order]
-        bar = np.abs(np.stack([value - low, high - value]))[:, order]
-        ax.errorbar(x, value[order], bar, color=colour, marker="o", ms=3.5, lw=1.4, capsize=2, label=name)
-    if np.isfinite(trial.guaranteed):
-        ax.axvline(
-            trial.guaranteed, color=SEEN, lw=1.4, ls="--", label=f"guaranteed from {trial.guaranteed:.4g} on"
-        )
-    ax.set_ylim(-0.03, 1.05)
-    ax.grid(color=GRID, lw=0.6)
-    ax.set_title(trial.label, parse_math=False)
-    label = "size of the fault"
-    if trial.fault is not None and trial.fault.kind not in ("gain", "tolerance"):
-        unit = res.model.unit(trial.fault.signal)
-        if unit:
-            label += f" [{unit}]"
-    ax.set_xlabel(label, parse_math=False)
-    ax.set_ylabel("share")
-    if trial.fault is None or trial.fault.kind in ("stuck", "dropout"):
+def _draw(ax: "Axes", chart: StudyChart) -> None:
+    """Draw a chart."""
+    for curve in chart.curves:
+        look: dict[str, Any] = {"color": TONES[curve.colour], "alpha": curve.faint, "label": curve.name}
+        if curve.low is None or curve.high is None:
+            ax.step(curve.x, curve.share, where="post", lw=1.4, **look)
+            continue
+        bar = np.abs(np.nan_to_num([curve.share - curve.low, curve.high - curve.share]))
+        ax.errorbar(curve.x, curve.share, bar, marker="o", ms=3.5, capsize=2, lw=1.4, **look)
+    if chart.guaranteed is not None:
+        name = f"guaranteed from {chart.guaranteed:.4g} on"
+        ax.axvline(chart.guaranteed, color=COLOURS[Status.CONSISTENT], lw=1.4, ls="--", label=name)
+    if chart.ticks is not None:
+        ax.set_xscale("symlog", linthresh=10)
+        ax.set_xticks(chart.ticks, map(str, chart.ticks))
+        ax.set_xticks([], minor=True)
+    elif not chart.label:
         ax.set_xticks([])
-        ax.set_xlabel("")
-    ax.legend(fontsize=8, loc="lower right", frameon=True, edgecolor="none")
-
-
-def _draw_delays(ax: "Axes", trial: Trial, tally: TrialTally) -> None:
-    """Draw the share of scenarios detected within so many samples, for a few sizes."""
-    sizes = len(trial.sizes)
-    picked = np.unique(np.linspace(0, sizes - 1, min(CURVES, sizes)).round().astype(int))
-    last = int(np.max(np.flatnonzero(tally.delays.any(0)), initial=1))
-    for rank, i in enumerate(picked):
-        curve = np.cumsum(tally.delays[i, : last + 2]) / max(tally.scenarios[i], 1)
-        tone = 0.25 + 0.75 * (rank + 1) / len(picked)
-        ax.step(
-            np.arange(len(curve)),
-            curve,
-            where="post",
-            color=FAULTY,
-            alpha=tone,
-            lw=1.4,
-            label=f"size {trial.sizes[i]:.4g}",
-        )
-    ax.set_ylim(-0.03, 1.05)
-    ax.set_xscale("symlog", linthresh=10)
-    ticks = [t for t in (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000) if t <= last + 1]
-    ax.set_xticks(ticks, [str(t) for t in ticks])
-    ax.set_xticks([], minor=True)
-    ax.set_xlim(0, last + 1)
+    ax.set(xlim=chart.ends, ylim=(-0.03, 1.05), xlabel=chart.label, ylabel="share")
+    ax.set_title(chart.title)
     ax.grid(color=GRID, lw=0.6)
-    ax.set_xlabel("samples from the onset")
-    ax.set_title("detected by then")
     ax.legend(fontsize=8, loc="lower right", frameon=True, edgecolor="none")

@@ -20,6 +20,7 @@ from jaxbound.plots.canvas import (
     finish,
     inside,
     label_time,
+    note,
     shade,
     stacked,
     style,
@@ -108,7 +109,7 @@ def _chart(ax: "Axes", line: Timeline, at: np.ndarray, name: str, alarms: int) -
         words = "no margin is measured"
         if (line.status == Status.MISSING).all():
             words = "no window has usable data"
-        ax.text(0.5, 0.5, words, ha="center", va="center", transform=ax.transAxes, color="#57606a")
+        note(ax, words)
         ax.set_yticks([])
     else:
         _margin(ax, at, line.low, line.high, line.samples > SAMPLES)
@@ -149,11 +150,8 @@ def _steep_scale(ax: "Axes", right: "Axes", lowest: float) -> None:
     factors = [(1.0, "×1"), (2.0, "×2")]
     powers = range(int(np.ceil(size)) + 1)
     for n in powers[:: max(1, len(powers) // 4)][1:]:
-        margins.append((-(10.0**n), f"$-10^{{{n}}}$"))
-        text = "×10"
-        if n > 1:
-            text += f"$^{{{n}}}$"
-        factors.append((10.0**n, text))
+        margins.append((-(10.0**n), f"-1e{n}"))
+        factors.append((10.0**n, f"×1e{n}"))
     _ticks(ax, margins)
     _ticks(right, [(1 - factor, text) for factor, text in factors])
 

@@ -4,16 +4,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxbound.plots.canvas import COLOURS, ENVELOPE, FAULTY, GRID, INK
-from jaxbound.sets.floats.status import Status
+from jaxbound.plots.canvas import FAULTY, GRID, LINES
 from jaxbound.studies.identification.fit_result import FitCheck
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["draw_tradeoff"]
-
-COLOURED = (INK, ENVELOPE, COLOURS[Status.UNDECIDED], COLOURS[Status.CONSISTENT])
 
 
 def draw_tradeoff(ax: "Axes", legend: "Axes", check: FitCheck) -> None:
@@ -28,7 +25,7 @@ def draw_tradeoff(ax: "Axes", legend: "Axes", check: FitCheck) -> None:
     for number, fault in enumerate(rows[0].sizes):
         sizes = np.array([row.sizes[fault] for row in rows])
         sizes[~np.isfinite(sizes)] = np.nan
-        colour = COLOURED[number % len(COLOURED)]
+        colour = LINES[number % len(LINES)]
         size = 8 - 2 * (number % 3)  # of outputs that share an offset the sizes are often the same
         (line,) = ax.plot(bounds, sizes, ls="none", color=colour, marker="o", ms=size, label=fault)
         handles.append(line)

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxbound.plots.canvas import COLOURS, ENVELOPE, FAULTY, GRID, INK, canvas, style
+from jaxbound.plots.canvas import COLOURS, FAULTY, GRID, INK, LINES, canvas, note, style
 from jaxbound.plots.plot import plot
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.tuning.tuning import TuneResult
@@ -13,17 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["plot_tuning"]
-
-LINES = (
-    INK,
-    ENVELOPE,
-    COLOURS[Status.UNDECIDED],
-    COLOURS[Status.CONSISTENT],
-    "#cc79a7",
-    "#f0e442",
-    "#0072b2",
-    "#999999",
-)
 
 
 @plot.register(TuneResult)
@@ -35,7 +24,7 @@ def plot_tuning(res: TuneResult) -> "Figure":
 
     history, margin = res.history, res.margin[~np.isnan(res.margin)]
     with style():
-        fig = canvas((11, 3.6))
+        fig = canvas((11, 3.6), "constrained")
         width, bounds, last = fig.subplots(1, 3)
         if len(history["step"]) > 1:
             width.plot(history["step"], history["width"], color=INK)
@@ -49,12 +38,8 @@ def plot_tuning(res: TuneResult) -> "Figure":
                 width.set_title("Smallest width in this direction / start")
             start = history["values"][0] / history["width"][0]
             for i, name in enumerate(res.names):
-                bounds.plot(
-                    history["step"],
-                    history["values"][:, i] / start[i],
-                    color=LINES[i % len(LINES)],
-                    label=name,
-                )
+                values = history["values"][:, i] / start[i]
+                bounds.plot(history["step"], values, color=LINES[i % len(LINES)], label=name)
             bounds.set_yscale("log")
             bounds.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             bounds.yaxis.set_major_formatter(FuncFormatter(lambda x, at: f"{x:g}"))
@@ -62,17 +47,8 @@ def plot_tuning(res: TuneResult) -> "Figure":
             bounds.legend(fontsize=7.5)
         else:
             for ax in (width, bounds):
-                ax.text(
-                    0.5,
-                    0.5,
-                    "one factor on all bounds:\nno steps",
-                    ha="center",
-                    va="center",
-                    transform=ax.transAxes,
-                    color="#57606a",
-                )
-                ax.set_xticks([])
-                ax.set_yticks([])
+                note(ax, "one factor on all bounds:\nno steps")
+                ax.set(xticks=[], yticks=[])
         bounds.set_title("Each bound / start")
         for ax in (width, bounds):
             ax.set_xlabel("step")
@@ -82,5 +58,4 @@ def plot_tuning(res: TuneResult) -> "Figure":
         last.set_yscale("log")
         last.set_title(f"Margins of {len(margin)} healthy windows")
         last.set_xlabel("margin at the tuned bounds, < 0: outside")
-        fig.subplots_adjust(left=0.06, right=0.98, top=0.9, bottom=0.16, wspace=0.34)
     return fig

@@ -16,8 +16,6 @@ from jaxbound.recordings.expressions import (
     derived,
     expression,
     fails,
-    find_column,
-    is_expression,
 )
 from jaxbound.recordings.factors import (
     Factor,
@@ -27,11 +25,10 @@ from jaxbound.recordings.factors import (
     known,
     masked,
     narrowed,
-    values_of,
     with_factors,
 )
 from jaxbound.recordings.oddcells import OddCells, error_hints, odd_of_frame, refuse_odd, unsaid_hints
-from jaxbound.recordings.selection import columns_of_signals
+from jaxbound.recordings.selection import Column, column_for, expressions_of
 from jaxbound.recordings.signals import Named
 from jaxbound.recordings.table import Data, as_table, is_table
 from jaxbound.recordings.tabletime import row_time
@@ -48,7 +45,6 @@ __all__ = [
     "holds_both",
     "inputs_of",
     "is_made",
-    "recorded_type",
     "refuse_infinite",
     "without_words",
 ]
@@ -122,7 +118,7 @@ def float_arrays(
         dtype = jax.dtypes.canonicalize_dtype(y.dtype)
         if dtype != y.dtype and isinstance(y, np.ndarray):
             _warn_rounded(y, dtype)
-        u, y = narrowed(model, u, dtype), _in_type(y, dtype)
+        u, y = narrowed(model, u, dtype), y.astype(dtype, copy=False)
     try:
         batch = np.broadcast_shapes(u.shape[:-2], y.shape[:-2])
     except ValueError:
@@ -145,19 +141,15 @@ def _factored(
         )
     u, y = np.asarray(u), np.asarray(y)
     if tables:
-        values = [_over_tables(model, factor.expression, u, tables) for factor in factors_of(model)]
+        inputs = by_name(model, u)
+        values = [computed(x.expression, tables, "the recording", inputs) for x in factors_of(model)]
     else:
         for factor in factors_of(model):
             _refuse_columns(model, factor)
-        values = values_of(model, {}, u)
+        values = [factor.expression.values(by_name(model, u)) for factor in factors_of(model)]
     if excluded is not None:
         values = [np.where(excluded, np.nan, x) for x in values]
     return with_factors(model, u, y, values)
-
-
-def _over_tables(model: Named, e: Expression, u: np.ndarray, tables: Mapping[str, Any]) -> np.ndarray:
-    """Return the values of an Expression over the inputs u (T, m) and the columns of DataFrames."""
-    return computed(e, tables, "the recording", by_name(model, u))
 
 
 def _refuse_columns(model: Named, factor: Factor) -> None:
@@ -168,13 +160,6 @@ def _refuse_columns(model: Named, factor: Factor) -> None:
             f"{factor.about}, and arrays have no column {listed(others)}: give a table or a file, or u with "
             f"the factors behind its inputs"
         )
-
-
-def _in_type(x: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Return an array, or a tracer, in a type; it is not copied where it has that already."""
-    if x.dtype == dtype:
-        return x
-    return x.astype(dtype)
 
 
 def _warn_rounded(y: np.ndarray, dtype: np.dtype) -> None:
@@ -211,13 +196,16 @@ def computed(
     Args:
         given: {name: floats}, which go before columns of the same name.
     """
-    import pandas as pd
+    names = [*given]
+    for frame in frames.values():
+        names += [*frame.columns, str(frame.index.name)]
+    return _values(e.among(list(dict.fromkeys(names))), frames, name, given)
 
-    series: dict[str, pd.Series] = {}
-    for frame in reversed(list(frames.values())):
-        series[str(frame.index.name)] = frame.index.to_series()
-        series |= {column: frame[column] for column in frame.columns}
-    e = e.among(list(dict.fromkeys((*given, *series))))
+
+def _values(
+    e: Column | Expression, frames: Mapping[str, Any], name: str, given: Mapping[str, np.ndarray] = NO_TABLES
+) -> np.ndarray:
+    """Return the values of a signal, whose columns are called as they are in the tables; see `computed`."""
     values: dict[str, np.ndarray] = {}
     if e.clock:
         values |= _told_by_clock(e, frames)
@@ -225,17 +213,26 @@ def computed(
         if column in given:
             values[column] = given[column]
             continue
-        cells = series[column]
-        if pd.api.types.is_datetime64_any_dtype(cells):
+        cells = _cells_of(column, frames)
+        if cells.dtype.kind == "M":
             values[column] = cells.to_numpy("datetime64[ns]")
         elif column in e.texts:
             values[column] = cells.astype(object).where(cells.notna(), None).to_numpy(object)
         else:
-            values[column] = _converted(partial(cells.to_numpy, np.float64, na_value=np.nan), name)
+            values[column] = _without_names(cells, name)
     return e.values(values)
 
 
-def _told_by_clock(e: Expression, frames: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def _cells_of(column: str, frames: Mapping[str, Any]) -> "pd.Series":
+    """Return a column of the first table that has it, else an index of this name."""
+    for frame in frames.values():
+        if column in frame.columns:
+            cells: pd.Series = frame[column]
+            return cells
+    return next(x.index.to_series() for x in frames.values() if str(x.index.name) == column)
+
+
+def _told_by_clock(e: Column | Expression, frames: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Return the names that the times of the rows tell, see `expressions.derived`."""
     index = next(iter(frames.values())).index
     times = row_time(index, None, "", regular=False)
@@ -287,73 +284,36 @@ def _text_columns(frame: "pd.DataFrame", model: Named) -> list[str]:
     words = [c for c in words if list(frame.columns).count(c) == 1]
     if not words:
         return []
-    column_for, condition = getattr(model, "column", str), _condition(model)
-    needed: set[str] = set()
-    for signal in (*model.inputs, *model.outputs):
-        text = column_for(signal)
-        needed.add(signal)
-        if is_expression(text):
-            needed.update(c for c in expression(text).columns if c not in expression(text).texts)
-        else:
-            needed.add(text.strip())
-    if condition is not None:
-        needed.update(c for c in condition.columns if c not in condition.texts)
+    signals = (*model.inputs, *model.outputs)
+    needed = {*signals, *map(str.strip, map(getattr(model, "column", str), signals))}
+    for e in expressions_of(model):
+        needed.update(set(e.columns) - e.texts)
     return [c for c in words if str(c).strip() in needed]
 
 
-def recorded_type(data: object, name: str) -> np.dtype:
-    """Return the float type in which data were rounded: float32 if any of it (a column of a DataFrame) is
-    that, else float64.
-
-    Raises:
-        ValueError: half precision.
-    """
-    types = _types_of(data)
-    if np.float16 in types:
-        raise ValueError(HALF.format(name))
-    if np.float32 in types:
-        return np.dtype(np.float32)
-    return np.dtype(np.float64)
-
-
-def _types_of(data: Data) -> list[Any]:
-    """Return the type of an array, or of each column of a table."""
-    if not hasattr(data, "dtypes") or not hasattr(data, "iloc"):
-        return [data.dtype if hasattr(data, "dtype") else np.asarray(data).dtype]
-    types = [data.dtypes]
-    if hasattr(data, "columns"):
-        types = list(data.dtypes)
-    return [getattr(t, "numpy_dtype", t) for t in types]  # of pandas' own types
-
-
 def _signals_by_name(model: Named, data: Data, name: str, channels: Sequence[str]) -> np.ndarray:
-    """Pick the channels of a DataFrame by name; turn anything else into an array of floats."""
+    """Pick the channels of a DataFrame by name; turn anything else into an array of floats.
+
+    Outputs get the type in which they were recorded, float32 if any column of them is that, else float64:
+    what was rounded away counts in it.
+    """
     if not is_table(data):
         return _without_names(data, name)
-    column_for = getattr(model, "column", str)
-    present = list(data.columns)
-    taken: dict[str, np.ndarray] = {}
-    sources: list[str] = []  # columns of the table that numbers come from
+    names, numbers = list(data.columns), []
+    if data.index.name not in (None, *names):
+        names.append(data.index.name)
+    recorded: np.dtype = np.dtype(np.float64)
     for channel in channels:
-        text = column_for(channel)
-        if is_expression(text) and channel not in present:
-            taken[channel] = computed(expression(text), {"": data}, name)
-            sources += [c for c in expression(text).among(present).columns if c in present]
-    table = data
-    if taken:
-        table = data.assign(**taken)
-    stripped = {str(c).strip() for c in table.columns}
-    wanted: list[str] = []
-    for channel in channels:
-        called = channel
-        if channel not in taken and column_for(channel).strip() in stripped:
-            called = column_for(channel)
-        wanted.append(find_column(called, list(table.columns), name, columns_of_signals(model)))
-    recorded = recorded_type(data[[*(c for c in wanted if c not in taken), *sources]], name)
-    numbers = _float_array(_of_frame(table[wanted], name), name)
-    if name == "y":  # what was rounded away counts in the type it was recorded in
-        return numbers.astype(recorded, copy=False)
-    return numbers
+        signal = column_for(channel, names, model, name)
+        numbers.append(_float_array(_values(signal, {"": data}, name), name))
+        for column in signal.read:
+            kind = _cells_of(column, {"": data}).dtype
+            if getattr(kind, "numpy_dtype", kind) == np.float32:  # of pandas' own types
+                recorded = np.dtype(np.float32)
+    if not numbers:
+        return np.zeros((len(data), 0))
+    table = np.stack(numbers, -1)
+    return table.astype(recorded, copy=False) if name == "y" else table
 
 
 def _without_names(data: Data, name: str) -> np.ndarray:

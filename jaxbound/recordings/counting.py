@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
-from jaxbound.recordings.timestamps import EPOCHS, epoch_scale, from_epoch, scale_of, since_epoch
+from jaxbound.recordings.seams import TOLERATED_DT
+from jaxbound.recordings.timestamps import EPOCHS, from_epoch, scale_of, since_epoch, uneven_steps
 from jaxbound.text.units import time_unit
 
 __all__ = ["SECONDS", "SECONDS_ALONE", "Counting", "Numbers", "counting_of", "numbers_of", "read_numbers"]
@@ -100,7 +100,7 @@ def numbers_of(values: np.ndarray, dt: float | None, name: str) -> tuple[Numbers
     """Return (how the first numbers of a time column tell the time, a sentence or ""); see `counting_of`."""
     counting = counting_of(values, dt, name)
     values, hint = counting.seconds(values), counting.hint
-    scale = epoch_scale(values, dt)
+    scale = scale_of(float(values[0]))
     if scale not in (None, 1):
         hint = f"the time column is read as an epoch in {EPOCHS[scale]}"
     return Numbers(counting, scale, float(values[0])), hint
@@ -119,7 +119,8 @@ def counting_of(values: np.ndarray, dt: float | None, name: str) -> Counting:
     unit, first = time_unit(name), float(values[0])
     for who, (zero, begin, end) in CALENDARS.items():
         if unit in ("", "d") and begin <= first - zero < end and _are_days(values, dt, name):
-            return Counting(1 / DAY, zero, *_rounded(values), f"days, as {who}")
+            step, slack = _rounded(values)
+            return Counting(1 / DAY, zero, step, slack, f"days, as {who}")
     scale = SCALES.get(unit, 1.0)
     if scale == 1 or scale_of(first) == scale or abs(first) / scale > LONGEST:
         return SECONDS
@@ -197,39 +198,29 @@ def read_numbers(
         return values, None, ""
     clock = _of_clock(values, dt, name)
     if clock is not None:
-        return (
-            clock.time,
-            None,
-            f"the time column is read as the digits of a clock, {clock.form}: it has no day",
-        )
+        time, form = clock
+        return time, None, f"the time column is read as the digits of a clock, {form}: it has no day"
     numbers, hint = numbers_of(values, dt, name)
     return *numbers.times(values), hint
 
 
-class _Clock(NamedTuple):
-    """The time in s of numbers whose digits are those of a clock, and what they are."""
-
-    time: np.ndarray
-    form: str
-
-
-def _of_clock(values: np.ndarray, dt: float | None, name: str) -> _Clock | None:
-    """Return the time since midnight of numbers whose digits are those of a clock, 80130 for 8:01:30; None
-    where they are not.
+def _of_clock(values: np.ndarray, dt: float | None, name: str) -> tuple[np.ndarray, str] | None:
+    """Return (time since midnight in s, form) of numbers whose digits are those of a clock, 80130 for
+    8:01:30; None where they are not.
 
     Numbers that are no digits have no reason to stop at 59 and go on at 100.
     """
     named = re.sub(r"[^a-z]", "", name.lower())
-    uneven = min(_seams(values, dt), _seams(values, None))
+    uneven = min(uneven_steps(values, dt), uneven_steps(values, None))
     best, fewest = None, uneven
     for form, hour in DIGITS.items():
         time = _clock_seconds(values, hour)
         if time is None:
             continue
         if named.endswith(form):
-            return _Clock(time, form.upper())
-        if _seams(time, dt) < fewest:
-            best, fewest = _Clock(time, form.upper()), _seams(time, dt)
+            return time, form.upper()
+        if uneven_steps(time, dt) < fewest:
+            best, fewest = (time, form.upper()), uneven_steps(time, dt)
     if best is None or time_unit(name):
         return None
     if uneven - fewest == 1:
@@ -250,12 +241,3 @@ def _clock_seconds(values: np.ndarray, hour: int) -> np.ndarray | None:
         return None
     time = 3600 * hours + 60 * minutes + seconds
     return np.asarray(time + DAY * np.concatenate([[0], np.cumsum(np.diff(time) < -DAY / 2)]))
-
-
-def _seams(time: np.ndarray, dt: float | None) -> int:
-    """Return how many steps are not dt, by default the usual one."""
-    steps = np.diff(time)
-    if not len(steps):
-        return 0
-    usual = float(np.median(steps)) if dt is None else dt
-    return int((np.abs(steps - usual) > TOLERATED_STEP * abs(usual)).sum())

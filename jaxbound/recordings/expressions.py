@@ -163,17 +163,13 @@ class Expression:
 
         Without recursion: a sum of thousands of terms is as many levels deep.
         """
+        nodes = [self.tree]
+        for node in nodes:
+            nodes += _operands(node)
         values: dict[int, Value] = {}
-        waiting = [self.tree]
-        while waiting:
-            node = waiting[-1]
-            parts = _operands(node)
-            missing = [x for x in parts if id(x) not in values]
-            if missing:
-                waiting += missing
-                continue
-            values[id(node)] = self._combined(node, [values.pop(id(x)) for x in parts], columns)
-            waiting.pop()
+        for node in reversed(nodes):  # operands first
+            parts = [values.pop(id(x)) for x in _operands(node)]
+            values[id(node)] = self._combined(node, parts, columns)
         return values[id(self.tree)]
 
     def _combined(self, node: ast.expr, parts: Sequence[Value], columns: Mapping[str, np.ndarray]) -> Value:
@@ -184,7 +180,10 @@ class Expression:
             case ast.Constant(value=int(number) | float(number)):
                 return np.float64(number)
             case ast.Name():
-                return columns[self.names[node.id]]
+                column = columns[self.names[node.id]]
+                if column.dtype.kind == "f":
+                    return column.astype(np.float64, copy=False)
+                return column
             case ast.Call():
                 return FUNCTIONS[ast.unparse(node.func)](*parts)
             case ast.BoolOp():
@@ -260,18 +259,9 @@ def _as_date(x: Value) -> Value:
 
 def _operands(node: ast.expr) -> Sequence[ast.expr]:
     """Return the operands of a node."""
-    match node:
-        case ast.Call():
-            return node.args
-        case ast.BoolOp():
-            return node.values
-        case ast.Compare():
-            return [node.left, *node.comparators]
-        case ast.UnaryOp():
-            return [node.operand]
-        case ast.BinOp():
-            return [node.left, node.right]
-    return []
+    if isinstance(node, ast.Call):
+        return node.args
+    return [x for x in ast.iter_child_nodes(node) if isinstance(x, ast.expr)]
 
 
 def fails(values: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ has a factor. The number is worked out once, in float64, and is exact from there
 up. A condition, of which a monitor asks whether it holds, travels the same way: as 1, 0 or NaN.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -29,7 +29,6 @@ __all__ = [
     "masked",
     "narrowed",
     "read_factor",
-    "values_of",
     "with_factors",
 ]
 
@@ -186,14 +185,6 @@ def raised(x: np.ndarray, dtype: DTypeLike) -> np.ndarray:
     near = np.where(near < x, np.nextafter(near, np.asarray(np.inf, dtype)), near)
     tiny = np.finfo(near.dtype).tiny
     return np.where((near > 0) & (near < tiny), tiny, near)
-
-
-def values_of(model: Named, columns: Mapping[str, Any], inputs: np.ndarray) -> list[np.ndarray]:
-    """Return the values (..., T) of each factor from columns of a recording and inputs (..., T, m), which go
-    before columns of the same name.
-    """
-    every = {**columns, **by_name(model, inputs)}
-    return [factor.expression.values(every) for factor in factors_of(model)]
 
 
 def by_name(model: Named, inputs: np.ndarray) -> dict[str, np.ndarray]:

@@ -5,9 +5,10 @@ than there are lines, a second, slow pass finds the row and says what stands the
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from io import BytesIO
+from itertools import islice
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -291,14 +292,13 @@ class LineReader:
         if rows == last - layout.skip and not counted.open_end:
             return
         blank.clear()
-        with opened() as file:
-            for number, line in enumerate(lines_of(file), 1):
-                if number <= layout.skip or number > last:
-                    continue
-                if layout.is_open(line):
-                    raise ValueError(f"row {number} {UNCLOSED}")
-                if layout.is_blank(line):
-                    blank.append(number)
+        for number, line in self._numbered(opened):
+            if number > last:
+                break
+            if layout.is_open(line):
+                raise ValueError(f"row {number} {UNCLOSED}")
+            if layout.is_blank(line):
+                blank.append(number)
         lines = last - layout.skip - len(blank)
         if rows != lines:
             remedy = "write the file again without quotation marks"
@@ -309,13 +309,16 @@ class LineReader:
 
     def _bad_row(self, opened: Opened) -> str:
         """Return a sentence on the first row that is none, or has a cell that is no number."""
-        with opened() as file:
-            for number, line in enumerate(lines_of(file), 1):
-                if number > self.layout.skip and not self.layout.is_blank(line):
-                    trouble = self.trouble(line)
-                    if trouble:
-                        return f"row {number} {trouble}"
+        for number, line in self._numbered(opened):
+            trouble = self.trouble(line)
+            if trouble and trouble != BLANK:
+                return f"row {number} {trouble}"
         return "the file cannot be read"
+
+    def _numbered(self, opened: Opened) -> Iterator[tuple[int, bytes]]:
+        """Yield the lines below the header, each behind its number."""
+        with opened() as file:
+            yield from islice(enumerate(lines_of(file), 1), self.layout.skip, None)
 
 
 def refuse_infinite(name: str, x: np.ndarray, excluded: np.ndarray | None, row: Callable[[int], str]) -> None:

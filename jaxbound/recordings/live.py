@@ -21,16 +21,17 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.recordings.expressions import TIME_SINCE_START, expression, is_expression
+from jaxbound.recordings.expressions import TIME_SINCE_START
 from jaxbound.recordings.means import every_of
 from jaxbound.recordings.meansource import means_source
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import check_period
+from jaxbound.recordings.selection import counted_from_start
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source
 from jaxbound.recordings.stream import Complain, Stream, Taken, digests_of
 
-__all__ = ["LiveSource", "Readings", "joined"]
+__all__ = ["LiveSource", "Readings"]
 
 NAMED = re.compile(r"(.+\.py):([A-Za-z_]\w*)")
 
@@ -82,7 +83,12 @@ class LiveSource(Source):
         """Return all readings of the function as one Recording, or their means; it has to end."""
         if every_of(self.model) is not None:
             return means_source(LiveSource, self.data, self.model).whole(progress)
-        return joined(self.model, self.stream(lambda kind, sentence: None).raw)
+        stream = self.stream(lambda kind, sentence: None)
+        pieces = [piece for _, piece in stream.pieces(stream.raw) if piece.samples]
+        if not pieces:
+            raise ValueError("there is no reading: a recording has at least two samples")
+        whole = reduce(Recording.followed, pieces)
+        return replace(whole, stamps=whole.dates, hints=())
 
 
 class Readings(Stream):
@@ -102,7 +108,7 @@ class Readings(Stream):
         taken: Taken | None = None,
     ) -> None:
         super().__init__(model, complain, taken)
-        if TIME_SINCE_START in _names_used(model):
+        if counted_from_start(model):
             raise ValueError(
                 f"{TIME_SINCE_START} is of a file or a pipe: a reading does not tell when others began"
             )
@@ -110,21 +116,6 @@ class Readings(Stream):
         self.resumed = memory is not None
         if memory is not None:
             self._resume_clock(memory)
-
-    def pieces(self, arrivals: Iterable[Any]) -> Iterator[tuple[int, Recording]]:
-        """Yield (number of its first sample, Recording) of each reading.
-
-        Raises:
-            ValueError: a reading that is no recording of this model.
-        """
-        for reading in arrivals:
-            if reading is None:
-                return
-            piece = self._new(Recording.of(self.model, reading, regular=False))
-            if piece.samples:
-                yield self.clock.samples - piece.samples, piece
-            else:
-                yield self.nothing()
 
     def memory(self) -> dict[str, Any] | None:
         """Return the memory of the clock; None before the first sample."""
@@ -137,21 +128,21 @@ class Readings(Stream):
         assert piece.time is not None, "a piece of this stream has times"
         return float(piece.time[k])
 
-    def _new(self, piece: Recording) -> Recording:
-        """Return the samples of a reading that were not judged before, with the seams before and in them."""
+    def take(self, arrival: object) -> Recording | None:
+        """Return the samples of a reading that were not judged before, with the seams before and in them.
+
+        Raises:
+            ValueError: a reading that is no recording of this model.
+        """
+        piece = Recording.of(self.model, arrival, regular=False)
         counted = piece.time is None
         time = self._times(piece)
         digests = digests_of([time, *np.transpose(piece.u), *np.transpose(piece.y)])
         if self.resumed and not counted:
-            last = self.clock.last
-
-            def named(k: int) -> tuple[str, str]:
-                return f"a reading at {self.label(time[k])}", self.label(last)
-
-            old = self.old_ones(digests, time, last, named)
+            old = self.old_ones(digests, time, lambda k: f"a reading at {self.label(time[k])}")
             piece, time, digests = piece.cut(old, piece.samples), time[old:], digests[old:]
-            if not piece.samples:
-                return piece
+        if not piece.samples:
+            return None
         self.taken.add(digests)
         starts = [NOWHERE]
         if self.regular:
@@ -173,22 +164,3 @@ class Readings(Stream):
         if np.isnan(piece.origin):
             return np.asarray(piece.time, float)
         return piece.origin + np.asarray(piece.time, float)
-
-
-def _names_used(model: SignalModel) -> set[str]:
-    """Return the names in the expressions of a model."""
-    names: set[str] = set()
-    for signal, column in model.columns.items():
-        if is_expression(column) or signal == "where":
-            names.update(expression(column).columns)
-    return names
-
-
-def joined(model: SignalModel, readings: Iterable[Any]) -> Recording:
-    """Return the readings of a stream that ends as one Recording."""
-    stream = Readings(model, readings)
-    pieces = [piece for _, piece in stream.pieces(stream.raw)]
-    if not pieces:
-        raise ValueError("there is no reading: a recording has at least two samples")
-    whole = reduce(Recording.followed, pieces)
-    return replace(whole, stamps=whole.dates, hints=())

@@ -13,9 +13,10 @@ fails where it fails at each: else it is `IN_PART`.
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxbound.recordings.clockintervals import nanoseconds, next_interval, seconds_of
 from jaxbound.recordings.factors import IN_PART, Factor, factors_of
@@ -30,7 +31,6 @@ __all__ = [
     "TooShort",
     "Unfinished",
     "every_of",
-    "finished",
     "grid_of",
     "instants",
     "is_period",
@@ -49,6 +49,7 @@ RARE = 0.99  # share of steps that a recorder does not exceed which skips a samp
 SKIPPED = 2.5  # median steps: a longer one skips more than one sample
 HOLE = 1.5  # usual steps: a longer one lacks a sample
 EMPTY = 100  # intervals without a sample that are missing samples, and no gap
+WHOLE = "in the recording as a whole"
 
 
 class TooShort(ValueError):
@@ -79,6 +80,23 @@ class Grid(NamedTuple):
     def lacks(self, rows: np.ndarray) -> None:
         """Let no interval of some rows be whole."""
         self.whole[np.searchsorted(self.first, rows, "right") - 1] = False
+
+    def done(self, last: int, step: int) -> int:
+        """Return how many intervals are over behind the last sample. last: its time in ns; step: to the next
+        one that may come.
+        """
+        is_over = bool(self.whole[-1]) and (last + step) // self.every > last // self.every
+        return len(self.whole) - 1 + int(is_over)
+
+    def counted(self, done: int, begun: bool | None = None) -> "Grid":
+        """Return the intervals that count, those in which nothing was recorded too. done: how many are over.
+        begun: see `Unfinished`.
+        """
+        if begun:  # empty ones count from the one before on
+            every_one = _with_empty(self.part(0, done))
+            return every_one.part(1, len(every_one.number))
+        # a recording begins with an interval that is whole, or with the second one
+        return _with_empty(self.part(int(begun is not None or not self.whole[0]), done))
 
     def time(self, zero: int) -> np.ndarray:
         """Return the beginnings of the intervals in s. zero: number of the interval that dates count from."""
@@ -116,24 +134,19 @@ class Rows:
         """Return the samples from number `first` on."""
         return Rows(*(x[first:] for x in vars(self).values()))
 
-    def plain(self) -> dict[str, Any]:
-        """Return the samples as JSON holds them."""
-        return {name: x.tolist() for name, x in vars(self).items()}
-
 
 class Unfinished(NamedTuple):
-    """The samples of a recording that are in no interval which is over, and how its intervals are counted, by
-    which the next recording goes on.
+    """The samples of a recording, or a stream, that are in no mean yet: by them the next ones go on.
 
     Fields: rows: from the last sample of the interval before on; shown: instants of the first samples of all
-    recordings so far, in ns, which show the usual step; origin: what intervals count from; number: of the
-    first one that is not over, None: none was over yet.
+    so far, in ns, which show the usual step; origin: what intervals count from; begun: whether an interval
+    counted; None: none was over yet, so no sample is of one before.
     """
 
     rows: Rows
     shown: np.ndarray
     origin: np.datetime64 | None
-    number: int | None = None
+    begun: bool | None = None
 
     def leads_to(self, time: np.ndarray, stamps: np.ndarray | None, y: np.ndarray) -> bool:
         """Return whether samples come later, by the same clock and of the same type."""
@@ -146,22 +159,50 @@ class Unfinished(NamedTuple):
         shown = np.concatenate([self.shown, rows.instant])[:FIRST]
         return self._replace(rows=self.rows.followed(rows), shown=shown)
 
-    def grid(self, every: str, goes_on: bool = False) -> Grid:
-        """Return the intervals that are over.
+    @classmethod
+    def of(cls, arrays: Mapping[str, ArrayLike]) -> "Unfinished":
+        """Return the samples of `arrays`, or of lists of them."""
+        kept = {name: np.asarray(x) for name, x in arrays.items()}
+        shown, begun = kept.pop("shown"), kept.pop("begun").tolist()
+        origin = kept.pop("origin").astype("datetime64[ns]")
+        return cls(Rows(**kept), shown, [*origin, None][0], [*begun, None][0])
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return all of it as arrays by their names."""
+        origin, begun = np.zeros(0, np.int64), np.zeros(0, bool)
+        if self.origin is not None:
+            origin = np.append(origin, self.origin.astype(np.int64))
+        if self.begun is not None:
+            begun = np.append(begun, self.begun)
+        return vars(self.rows) | {"shown": self.shown, "origin": origin, "begun": begun}
+
+    def over(self, every: str, follows: bool | None = False) -> tuple[Grid, "Unfinished"]:
+        """Return (the intervals that are over and count, the samples that are left behind them).
 
         Args:
-            every: the interval. goes_on: a recording follows, which may hold a sample for the last interval.
-        """
-        usual = usual_step(self.shown, every)
-        shortest = usual
-        if goes_on:
-            shortest = min(usual, int(np.median(np.diff(self.shown))))
-        return grid_of([self.rows.instant], every, usual, self.origin, self.number, shortest)
+            every: the interval. follows: whether a recording follows, which may hold a sample for the last
+                interval; None: samples follow, so that this one is over as soon as the next begins.
 
-    def behind(self, grid: Grid) -> "Unfinished":
-        """Return the samples that are left behind these intervals."""
-        rows = self.rows.behind(int(grid.stop[-1]) - 1)
-        return self._replace(rows=rows, number=int(grid.number[-1]) + 1)
+        Raises:
+            ValueError: an interval that is shorter than the usual step. TooShort: of a recording, none is
+                over.
+        """
+        rows, step = self.rows, usual_step(self.shown, every)
+        grid = _intervals([rows.instant], every, step, self.origin, self.begun is not None)
+        lost = np.flatnonzero(rows.broken)
+        grid.lacks(np.append(lost, lost[lost > 0] - 1))
+        done = len(grid.whole) - 1
+        if follows is not None:
+            if follows:
+                step = min(step, int(np.median(np.diff(self.shown))))
+            done = grid.done(int(rows.instant[-1]), step)
+        counted = grid.counted(done, self.begun)
+        if follows is not None:
+            _refuse_none(counted, every, "over in the recording and the one before" if self.begun else WHOLE)
+        if not done:
+            return counted, self
+        begun = bool(self.begun or len(counted.number))
+        return counted, self._replace(rows=rows.behind(int(grid.stop[done - 1]) - 1), begun=begun)
 
 
 def every_of(model: Named) -> str | None:
@@ -208,8 +249,8 @@ class _Recorded(Signals):
 def recorded_model(model: SignalModel) -> Signals:
     """Return the names of a model whose samples are means, to read what was recorded at its own step."""
     columns = {name: column for name, column in model.columns.items() if name != EVERY}
-    signals = tuple(model.inputs), tuple(model.outputs)
-    return _Recorded(*signals, columns, regular=False, factors=factors_of(model))
+    inputs, outputs = tuple(model.inputs), tuple(model.outputs)
+    return _Recorded(inputs, outputs, columns, regular=False, factors=factors_of(model))
 
 
 def instants(time: np.ndarray, stamps: np.ndarray | None, origin: np.datetime64 | None) -> np.ndarray:
@@ -260,66 +301,36 @@ def _length(every: str, usual: int) -> int:
     return length
 
 
-def finished(
-    rows: Rows, every: str, usual: int, origin: np.datetime64 | None, has_before: bool, begun: bool
-) -> tuple[Grid, int]:
-    """Return (intervals of a stream that are over, number of the first row of the one that is not).
-
-    Args:
-        rows: those that are kept. every, usual, origin: as of `grid_of`. has_before: whether the first row is
-            the last one of an interval that was over before. begun: whether that interval, or one before,
-            counted.
-
-    Raises:
-        ValueError: an interval that is shorter than the usual step.
-    """
-    grid = _intervals([rows.instant], every, usual, origin, has_before)
-    lost = np.flatnonzero(rows.broken)
-    grid.lacks(np.append(lost, lost[lost > 0] - 1))
-    last = len(grid.first) - 1
-    if begun:  # behind the one before, from which empty intervals are counted
-        spread = _with_empty(grid.part(0, last))
-        return spread.part(1, len(spread.number)), int(grid.first[last])
-    # a recording begins with an interval that is whole, or with the second one
-    over = grid.part(int(has_before or not grid.whole[0]), last)
-    if len(over.number):
-        over = _with_empty(over)
-    return over, int(grid.first[last])
-
-
 def grid_of(
-    chunks: Iterable[np.ndarray],
-    every: str,
-    usual: int,
-    origin: np.datetime64 | None = None,
-    number: int | None = None,
-    shortest: int | None = None,
+    chunks: Iterable[np.ndarray], every: str, usual: int, origin: np.datetime64 | None = None
 ) -> Grid:
     """Return the intervals of a recording.
 
     Args:
         chunks: times in ns from `instants`, in order. every: the interval. usual: from `usual_step`. origin:
-            what dates count from. number: of the first interval that counts, behind a recording before; None:
-            the first that is whole. shortest: step in ns behind the last row at which another one may come;
-            None: the usual one.
+            what dates count from.
 
     Raises:
         ValueError: an interval that is shorter than the usual step, or no interval that is whole.
     """
-    last = np.zeros(0, np.int64)
+    last = 0
 
     def seen() -> Iterator[np.ndarray]:
         nonlocal last
         for chunk in chunks:
-            last = chunk[-1:] if len(chunk) else last
+            last = int(chunk[-1]) if len(chunk) else last
             yield chunk
 
     grid = _intervals(seen(), every, usual, origin)
-    if (last[0] + (shortest or usual)) // grid.every <= last[0] // grid.every:
-        grid.lacks(grid.stop[-1:] - 1)
-    if number is None:
-        return _with_empty(_without_ends(grid, every))
-    return _from(grid, every, number)
+    counted = grid.counted(grid.done(last, usual))
+    _refuse_none(counted, every, WHOLE)
+    return counted
+
+
+def _refuse_none(grid: Grid, every: str, where: str) -> None:
+    """Raise TooShort if there is no interval."""
+    if not len(grid.number):
+        raise TooShort(f"no interval of {every} is {where}: it is too short")
 
 
 def _intervals(
@@ -375,25 +386,6 @@ def _beside_holes(
     return [before[low <= number[before]], behind[high >= number[behind]]]
 
 
-def _without_ends(grid: Grid, every: str) -> Grid:
-    """Return the intervals without the first and the last where they are not whole."""
-    begin, end = int(not grid.whole[0]), len(grid.whole) - int(not grid.whole[-1])
-    if end <= begin:
-        raise TooShort(f"no interval of {every} is in the recording as a whole: it is too short")
-    return grid.part(begin, end)
-
-
-def _from(grid: Grid, every: str, number: int) -> Grid:
-    """Return the intervals from one on, those in which nothing was recorded too, without the last where it is
-    not whole.
-    """
-    over = _with_empty(grid.part(0, len(grid.whole) - int(not grid.whole[-1])))
-    counts = np.flatnonzero(over.number >= number)
-    if not len(counts):
-        raise TooShort(f"no interval of {every} is over in the recording and the one before: it is too short")
-    return over.part(int(counts[0]), len(over.number))
-
-
 def _with_empty(grid: Grid) -> Grid:
     """Return the intervals with those between them in which nothing was recorded, unless there are many."""
     empty = np.diff(grid.number) - 1
@@ -409,29 +401,23 @@ def _with_empty(grid: Grid) -> Grid:
     return Grid(grid.number[own] + behind, first, grid.stop[own], whole, grid.every, grid.origin)
 
 
-def means_of(
-    grid: Grid, begin: int, u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None, m: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return (u, y, excluded) of intervals: (K, m + c), (K, p) means, NaN where one is missing; (K,) bool,
-    None.
+def means_of(grid: Grid, rows: Rows, m: int, begin: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (u, y, excluded) of intervals: (K, m + c), (K, p) means, NaN where one is missing; (K,) bool.
 
     Args:
-        grid: the intervals. begin: number of the first row of u (N, m + c), y (N, p) and excluded (N,), which
-            hold all rows of these intervals. m: number of the inputs in u, conditions stand behind them.
+        grid: the intervals. rows: all samples of these intervals. m: number of the inputs in u, conditions
+            stand behind them. begin: number of the first row.
     """
     recorded = grid.stop > grid.first
     bounds = np.append(grid.first[recorded], grid.stop[-1:]) - begin
-    means = [_means(x, bounds, recorded, grid.whole) for x in (u, y)]
-    if u.shape[1] > m:
-        means[0][:, m:] = _held(u[:, m:], bounds, recorded, grid.whole)
-    left_out = None
-    if excluded is not None:
-        left_out = np.zeros(len(recorded), bool)
-        if recorded.any():
-            left_out[recorded] = np.logical_or.reduceat(excluded[: bounds[-1]], bounds[:-1])
-        for x in means:
-            x[left_out] = np.nan
-    return means[0], means[1], left_out
+    u, y = (_means(x, bounds, recorded, grid.whole) for x in (rows.u, rows.y))
+    if rows.u.shape[1] > m:
+        u[:, m:] = _held(rows.u[:, m:], bounds, recorded, grid.whole)
+    excluded = np.zeros(len(recorded), bool)
+    if recorded.any():
+        excluded[recorded] = np.logical_or.reduceat(rows.excluded[: bounds[-1]], bounds[:-1])
+    u[excluded], y[excluded] = np.nan, np.nan
+    return u, y, excluded
 
 
 def _means(x: np.ndarray, bounds: np.ndarray, recorded: np.ndarray, whole: np.ndarray) -> np.ndarray:

@@ -5,7 +5,6 @@ samples is the same however the recording is cut.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cached_property, reduce
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxbound.recordings.clockintervals import seconds_of
-from jaxbound.recordings.columns import from_arrow, moments, to_arrow
+from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.means import (
     Grid,
     TooShort,
@@ -21,7 +20,6 @@ from jaxbound.recordings.means import (
     every_of,
     grid_of,
     instants,
-    means_of,
     midnight_of,
     recorded_model,
     usual_step,
@@ -78,26 +76,19 @@ class MeansSource(Source):
 
     def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording of all means."""
-        recorded = self._recorded_whole(progress)
+        read = self.raw.read if self.raw.parts else self.raw.whole  # one of them names the data in refusals
+        recorded = read(progress=progress)
         left = recorded.unfinished(self.before)
         try:
-            grid = left.grid(self.every, self.goes_on)
+            grid, behind = left.over(self.every, self.goes_on)
         except TooShort:
             self.rest = left
             raise
-        means = recorded.averaged(left, grid, self.model.m)
-        if means.stamps is not None:
-            means = replace(means, written=moments(to_arrow(means.stamps)))
+        means = recorded.averaged(grid, left.rows, self.model.m).worded()
         where = self.model.columns.get("where", "")
         means = with_hints(self.model, means, "sample {}".format, where, recorded.hints)
-        self.rest = left.behind(grid)
+        self.rest = behind
         return means
-
-    def _recorded_whole(self, progress: Progress | None) -> Recording:
-        """Return all samples as they were recorded."""
-        if self.raw.parts:
-            return self.raw.read(progress=progress)
-        return self.raw.whole(progress)
 
 
 class PartMeans(PartSource, MeansSource):
@@ -129,7 +120,8 @@ class PartMeans(PartSource, MeansSource):
         time, stamps = raw.first_times()
         origin = midnight_of(stamps)
         usual = usual_step(instants(time, stamps, origin), self.every)
-        chunks = (instants(*times, origin) for times in raw.clock(ROWS, raw.samples))
+        clock = raw.clock(ROWS, raw.samples)
+        chunks = (instants(seconds, dates, origin) for seconds, dates in clock)
         try:
             return grid_of(chunks, self.every, usual, origin)
         except ValueError as e:
@@ -182,12 +174,12 @@ class PartMeans(PartSource, MeansSource):
         pieces: list[Recording] = []
         at = first
         while at < stop:
-            rows = int(self.grid.first[at]) + ROWS
-            end = min(max(int(np.searchsorted(self.grid.stop, rows, "right")), at + 1), stop)
+            last = int(self.grid.first[at]) + ROWS
+            end = min(max(int(np.searchsorted(self.grid.stop, last, "right")), at + 1), stop)
             part = self.grid.part(at, end)
             like = self._recorded(int(part.first[0]), int(part.stop[-1]))
-            means = means_of(part, int(part.first[0]), like.u, like.y, like.excluded, self.model.m)
-            pieces.append(like.on_grid(part, self._zero, means))
+            rows = like.rows(self.grid.origin)
+            pieces.append(like.averaged(part, rows, self.model.m, int(part.first[0]), self._zero))
             at = end
         return reduce(Recording.followed, pieces)
 

@@ -6,16 +6,17 @@ Rows count from 1.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow, valid
 from jaxbound.recordings.contents import Contents
 from jaxbound.recordings.counting import SECONDS_ALONE, Numbers, numbers_of
+from jaxbound.recordings.linetext import refuse_infinite
 from jaxbound.recordings.parquetfiles import (
     PARTIAL,
     SUFFIXES,
@@ -31,7 +32,7 @@ from jaxbound.recordings.parquetfiles import (
 )
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import period_of, rows_apart
-from jaxbound.recordings.selection import NO_TIME, Column, Wanted
+from jaxbound.recordings.selection import NO_TIME, Wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import PROBE, PartSource
 from jaxbound.recordings.timestamps import (
@@ -259,16 +260,12 @@ class ParquetSource(PartSource):
                     yield batch.slice(low, high - low)
                 at += len(batch)
 
-    def _is_computed_with(self, column: str) -> bool:
-        """Return whether a signal, the condition or a factor is an expression over a column."""
-        return any(column in self.plan.own(e) for e in self.plan.every if not isinstance(e, Column))
-
     def _numbers(self, start: int, name: str, column: "pa.ChunkedArray") -> np.ndarray:
         """Return a column as floats, NaN where a sample is missing."""
         import pyarrow as pa
 
         kind = pa.float64()
-        if pa.types.is_float32(column.type) and not self._is_computed_with(name):
+        if pa.types.is_float32(column.type):
             kind = pa.float32()
         try:
             x = from_arrow(_one_array(column.cast(kind)))
@@ -276,13 +273,12 @@ class ParquetSource(PartSource):
             raise ValueError(
                 f"column {name!r} of {self.path} holds whole numbers too large for a float: scale them"
             ) from None
-        if np.isinf(x).any():
-            k = start + int(np.argmax(np.isinf(x)))
-            raise ValueError(
-                f"{self.path}: {self.row(k)} of column {name!r} is infinite or too large for a number "
-                "(leave a missing sample blank)"
-            )
+        refuse_infinite(name, x, None, partial(self._place, start))
         return x
+
+    def _place(self, start: int, k: int) -> str:
+        """Return how the user finds the row k behind sample `start`."""
+        return f"{self.path}: {self.row(start + k)}"
 
     def times(self, start: int, written: "pa.Array") -> tuple[np.ndarray, np.ndarray | None]:
         """Return (seconds, datetime64[ns] or None) of a piece of the time column, which begins at sample
@@ -305,9 +301,7 @@ class ParquetSource(PartSource):
         """Return datetime64[ns] of a piece of a column of time stamps, dates or ISO 8601 texts."""
         import pyarrow as pa
 
-        def where(k: int) -> str:
-            return f"{self.path}: {self.row(start + k)}"
-
+        where = partial(self._place, start)
         if pa.types.is_timestamp(written.type):
             return in_ns(from_arrow(written), where)
         if pa.types.is_date(written.type):
@@ -321,8 +315,8 @@ class ParquetSource(PartSource):
     def _refuse_untimed(self, start: int, known: np.ndarray) -> None:
         """Refuse a piece, which begins at sample `start`, in which some time is not known."""
         if not known.all():
-            row = self.row(start + int(np.argmin(known)))
-            raise ValueError(f"{self.path}: {row} has no time: every row needs one")
+            row = self._place(start, int(np.argmin(known)))
+            raise ValueError(f"{row} has no time: every row needs one")
 
     @property
     def zero(self) -> np.datetime64 | None:
@@ -369,13 +363,12 @@ def open_parquet(path: str | PathLike[str], model: SignalModel) -> ParquetSource
     path = Path(path)
     files = files_of(path)
     states = tuple(map(_state, files))
-    found = _schemas(path, files, model)
-    rows = np.cumsum([0, *found.counts])
+    counts, types, dated = _schemas(path, files, model)
+    rows = np.cumsum([0, *counts])
     if rows[-1] < 2:
         how_many = "one row" if rows[-1] else "no row"
         raise ValueError(f"{path}: {how_many} of data: a recording has at least two")
-    types = found.types
-    plan = plan_of(list(types), types, model, found.dated)
+    plan = plan_of(list(types), types, model, dated)
     single = any(types.get(c) == pa.float32() for signal in plan.outputs for c in signal.read)
     dtype = np.dtype(np.float32 if single else np.float64)
     hints: tuple[str, ...] = ()
@@ -388,20 +381,12 @@ def open_parquet(path: str | PathLike[str], model: SignalModel) -> ParquetSource
     return _clocked(ParquetSource(path, files, rows, model, plan, dtype, dt, hints=hints, states=states))
 
 
-class _Schemas(NamedTuple):
-    """The columns of the files of a recording, which are those of the first.
-
-    Fields: counts: rows of each file; types: {column: type} of those that are wanted; dated: columns with
-    time stamps.
+def _schemas(
+    path: Path, files: tuple[Path, ...], model: SignalModel
+) -> tuple[list[int], Types, frozenset[str]]:
+    """Return (rows of each file, {column: type} of those that are wanted, columns with time stamps); refuse
+    files that differ in those that are wanted.
     """
-
-    counts: list[int]
-    types: Types
-    dated: frozenset[str]
-
-
-def _schemas(path: Path, files: tuple[Path, ...], model: SignalModel) -> _Schemas:
-    """Look at the columns of all files; refuse files that differ in those that are wanted."""
     counts: list[int] = []
     first: Types = {}
     dated: frozenset[str] = frozenset()
@@ -420,7 +405,7 @@ def _schemas(path: Path, files: tuple[Path, ...], model: SignalModel) -> _Schema
                 raise ValueError(f"{file}: {e}{mixed}") from None
         first = first or types
         _refuse_other_types(path / name, types, first, first_name)
-    return _Schemas(counts, first, dated)
+    return counts, first, dated
 
 
 def _refuse_other_types(place: Path, types: Types, first: Types, first_name: str) -> None:

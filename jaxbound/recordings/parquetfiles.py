@@ -186,7 +186,6 @@ def checked(
         _refuse_no_numbers(column, kind)
     types = {column: schema.field(column).type for column in plan.columns}
     if plan.time is not None:
-        types[plan.time] = schema.field(plan.time).type
         _refuse_no_times(plan.time, types[plan.time])
     return types
 

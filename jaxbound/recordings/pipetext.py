@@ -6,26 +6,26 @@ spans it. What has been taken is remembered in a few numbers and lines, so that 
 behind it, whether the sender begins again or not.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial, reduce
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxbound.recordings.columns import to_arrow
-from jaxbound.recordings.counting import SECONDS, Counting, Numbers, counting_of
+from jaxbound.recordings.counting import Counting, Numbers, numbers_of
 from jaxbound.recordings.csvlines import BOM, split_lines
 from jaxbound.recordings.csvtext import BLANK, UNENDED, is_number, sniff
 from jaxbound.recordings.linetext import Cells, LineReader, refuse_infinite
 from jaxbound.recordings.oddcells import thousands
-from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recording import Recording, Times
 from jaxbound.recordings.seams import TOLERATED_STEP, check_period, rows_apart
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, digests_of
 from jaxbound.recordings.thousands import Doubt
-from jaxbound.recordings.timestamps import parse_stamps, scale_of, since_epoch
+from jaxbound.recordings.timestamps import parse_stamps, since_epoch
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -38,19 +38,6 @@ SHOWN = 100  # samples whose steps say whether the sampling period is the model'
 TOLD = 20  # seams of one piece that get a sentence
 Line = tuple[int, bytes]
 """A line with its number."""
-
-
-class _LineTimes(NamedTuple):
-    """The times of some rows.
-
-    Fields: time (N,) in s; stamps: as datetime64, or None; written: as they stand there; before: time of the
-    sample before them, in seconds of the same count.
-    """
-
-    time: np.ndarray
-    stamps: np.ndarray | None
-    written: Any
-    before: float
 
 
 class PipeText(Stream):
@@ -91,10 +78,8 @@ class PipeText(Stream):
         self.counted: int | None = None  # samples that are sent again, where no time tells them
         self.blank: list[Line] = []  # blank lines that are wrong, without a time, where a row follows
         self.returns = 0  # carriage returns at the end, which may be the first half of a line end
-        self.after: float | None = (
-            None  # time of the last sample of a process before, until a later one comes
-        )
-        self.was_broken = False  # behind that sample
+        self.replaying = False  # the lines that come are those that a process before had judged
+        self.was_broken = False  # behind the last sample of that one
         self.shown: list[float] | None = []
         if not self.regular:
             self.shown = None
@@ -108,18 +93,13 @@ class PipeText(Stream):
         if self.rest == b"\r":
             self.rest, self.returns = b"", 1
         self._resume_clock(memory)
-        self.texts, counting = memory["texts"], Counting(*memory.get("counting", ()))
-        if memory["origin"] is not None:
-            self.numbers = Numbers(counting, memory["scale"], memory["origin"])
-        if "counting" in memory:  # of a version that knew seconds and epochs only
-            self.unit_known, self.lone = memory["unit_known"], np.array(memory["lone"], float)
+        self.texts, self.unit_known = memory["texts"], memory["unit_known"]
+        self.lone = np.array(memory["lone"], float)
+        if memory["numbers"] is not None:
+            counting, scale, origin = memory["numbers"]
+            self.numbers = Numbers(Counting(*counting), scale, origin)
         self.broken, self.resumed = memory["broken"], memory["number"]
         self.was_broken, self.shown = self.broken, None
-
-    @property
-    def replaying(self) -> bool:  # type: ignore[override]
-        """Whether the lines that came are those that a process before had judged."""
-        return self.after is not None
 
     def memory(self) -> dict[str, Any] | None:
         """Return the state from which another PipeText goes on, as JSON holds it; None before the first
@@ -128,7 +108,6 @@ class PipeText(Stream):
         if self.reader is None:
             return None
         broken = self.broken or bool(self.blank)
-        counting, scale, origin = self.numbers or (SECONDS, None, None)
         if self.replaying:
             broken = self.was_broken
         return {
@@ -136,45 +115,32 @@ class PipeText(Stream):
             "number": max(self.number, self.resumed),
             "tail": (self.rest + self.tail + b"\r"[: self.returns]).decode("latin-1"),
             **self._clock_memory(),
-            "origin": origin,
-            "scale": scale,
-            "counting": [*counting],
+            "numbers": self.numbers,
             "lone": self.lone.tolist(),
             "unit_known": self.unit_known,
             "texts": self.texts,
             "broken": broken,
         }
 
-    def pieces(self, arrivals: Iterable[bytes | None]) -> Iterator[tuple[int, Recording]]:
-        """Yield (number of its first sample, Recording) of the lines that bytes complete, as they come.
+    def ended(self) -> None:
+        """Take the end of the stream: a last line without its own is left out.
 
         Raises:
-            ValueError: as `take`, or at the end: there was no row of data.
+            ValueError: there was no row of data.
         """
-        for data in arrivals:
-            if data is None:  # a signal: the line that was begun is remembered
-                return
-            yield self._numbered(self.take(data))
         if self.tail.strip():
             self._lose(f"the last line {UNENDED}")
         self.refuse_empty()
 
-    def _numbered(self, piece: Recording | None) -> tuple[int, Recording]:
-        if piece is None:
-            return self.nothing()
-        return self.clock.samples - piece.samples, piece
-
-    def take(self, data: bytes) -> Recording | None:
-        """Return the Recording of the lines that these bytes complete, or None where there is none.
-
-        Args:
-            data: bytes; a line without its end waits for more.
+    def take(self, arrival: bytes) -> Recording | None:  # type: ignore[override]  # nothing else arrives
+        """Return the Recording of the lines that these bytes complete, or None where there is none; a line
+        without its end waits for more.
 
         Raises:
             ValueError: no header, a column that is missing, another sampling period than the model's, a
                 megabyte without a line end.
         """
-        rows = self._rows(self._lines(data))
+        rows = self._rows(self._lines(arrival))
         pieces = [piece for piece in self._pieces(rows) if piece.samples] if rows else []
         if not pieces:
             return None
@@ -388,7 +354,7 @@ class PipeText(Stream):
             self.broken = True
             self.complain("replay", "no time says whether lines were lost between: windows begin anew")
         if self.clock.samples and (plan.time is not None or begins_again):
-            self.after = self.clock.last
+            self.replaying = True
             return rows
         return self._numbered_behind(rows)
 
@@ -407,7 +373,7 @@ class PipeText(Stream):
     def _numbered_behind(self, rows: list[Line]) -> list[Line]:
         """Return the first rows that are new, numbered behind those of the processes before."""
         behind = self.resumed - rows[0][0] + 1
-        self.resumed, self.after, self.counted = 0, None, None
+        self.resumed, self.replaying, self.counted = 0, False, None
         self.number += behind
         return [(n + behind, line) for n, line in rows]
 
@@ -446,26 +412,24 @@ class PipeText(Stream):
             times = self._text_times(cells.times)
         elif plan.time is not None:
             times = self._number_times(cells.columns[plan.time])
-        else:
-            times = self._counted_times(cells.rows)
-        columns, since = cells.columns, times.time
+        else:  # rows are dt apart
+            times = (self._first_counted + np.arange(cells.rows)) * self.dt, None, None
+        columns, (since, stamps, _) = cells.columns, times
         if plan.time is not None:
-            columns.setdefault(plan.time, since if times.stamps is None else times.stamps)
+            columns.setdefault(plan.time, since if stamps is None else stamps)
         if self.numbers is not None and self.numbers.scale is None:
             since = since - self.numbers.origin
-        samples = plan.samples(columns, cells.rows, (since, times.stamps))
+        samples = plan.samples(columns, cells.rows, (since, stamps))
         if plan.where is not None:
             reader.refuse(cells, samples[2], "".format)
         self._refuse_doubt(cells, samples[2], rows)
-        piece = Recording.filed(
-            self.model, samples, (times.time, times.stamps, times.written), SOURCE, self.dt
-        )
-        if self.after is not None:
-            piece, digests, rows = self._behind(piece, digests, rows, times.before)
+        piece = Recording.filed(self.model, samples, times, SOURCE, self.dt)
+        if self.replaying:
+            piece, digests, rows = self._behind(piece, digests, rows)
             if not rows:
                 return piece
         self.taken.add(digests)
-        return self._seamed(piece, rows, times.before)
+        return self._seamed(piece, rows)
 
     def _refuse_doubt(self, cells: Cells, excluded: np.ndarray | None, rows: list[Line]) -> None:
         """Refuse a number whose decimal sign may be a sign for thousands, behind whole ones."""
@@ -497,22 +461,25 @@ class PipeText(Stream):
             numbers.append(self._first_counted + np.arange(cells.rows))
         return digests_of(numbers, words)
 
+    @property
+    def last_label(self) -> str:
+        """The time of the last sample as it stands there, of numbers as a reader would write it."""
+        if self._known_reader.is_text:
+            return self.label(self.texts[-1].strip())
+        return super().last_label
+
     def _behind(
-        self, piece: Recording, digests: np.ndarray, rows: list[Line], before: float
+        self, piece: Recording, digests: np.ndarray, rows: list[Line]
     ) -> tuple[Recording, np.ndarray, list[Line]]:
         """Return samples, digests and rows behind those that an earlier process had judged."""
-        timed = self._known_reader.plan.time is not None
 
-        def named(k: int) -> tuple[str, str]:
+        def named(k: int) -> str:
             number, line = rows[k]
-            name, end = f"line {number}", self.label(before)
-            if timed:
-                name = f"line {number}, at {self._stamp(line)},"
-            if self._known_reader.is_text:
-                end = self.label(self.texts[-1].strip())
-            return name, end
+            if self._known_reader.plan.time is None:
+                return f"line {number}"
+            return f"line {number}, at {self._stamp(line)},"
 
-        old = self.old_ones(digests, piece.time, before, named)
+        old = self.old_ones(digests, piece.time, named)
         if self.counted is not None:
             self.counted += old
         if old:
@@ -522,13 +489,13 @@ class PipeText(Stream):
             new = self._numbered_behind(new)
         return piece.cut(old, piece.samples), digests[old:], new
 
-    def _seamed(self, piece: Recording, rows: list[Line], before: float) -> Recording:
+    def _seamed(self, piece: Recording, rows: list[Line]) -> Recording:
         """Return samples that are taken, with their seams."""
-        starts, edges = self.seams(piece.time, piece.excluded, before)
+        steps = np.diff(piece.time, prepend=self.clock.last)
+        starts, edges = self.seams(piece.time, piece.excluded)
         if self._known_reader.is_text:
             first, *_ = self.texts or [piece.column[0].as_py()]
             self.texts = [first, piece.column[-1].as_py()]
-        steps = np.diff(piece.time, prepend=before)
         for k in starts[:TOLD]:
             late = f"comes {steps[k]:.6g} s after the sample before it, not dt = {self.dt:g} s"
             self.complain("seam", f"line {rows[k][0]} {late}: windows across are MISSING")
@@ -538,11 +505,6 @@ class PipeText(Stream):
             return piece
         return replace(piece, starts=np.union1d(starts, edges))
 
-    def _counted_times(self, count: int) -> _LineTimes:
-        """Return the times of rows that tell none: they are dt apart."""
-        time = (self._first_counted + np.arange(count)) * self.dt
-        return _LineTimes(time, None, None, (self.clock.samples - 1) * self.dt)
-
     @property
     def _first_counted(self) -> int:
         """The number of the next sample, of those that are sent again too."""
@@ -550,7 +512,7 @@ class PipeText(Stream):
             return self.counted
         return self.clock.samples
 
-    def _number_times(self, cells: np.ndarray) -> _LineTimes:
+    def _number_times(self, cells: np.ndarray) -> Times:
         """Return times that are written as numbers: seconds, or an epoch."""
         if np.isnan(cells).any():
             raise ValueError("has no time")
@@ -559,18 +521,16 @@ class PipeText(Stream):
         if not self.unit_known or self.numbers is None:
             self._understand_numbers(values)
         assert self.numbers is not None, "some came"
-        time, stamps = self.numbers.times(values)
-        return _LineTimes(time, stamps, to_arrow(cells), self.clock.last)
+        return *self.numbers.times(values), to_arrow(cells)
 
     def _understand_numbers(self, values: np.ndarray) -> None:
         """Find out how numbers tell the time: the first two of them say."""
         shown, dt = np.append(self.lone, values), None
         if self.regular:
             dt = self.dt
-        counting = counting_of(shown, dt, str(self._known_reader.plan.time))
+        self.numbers, _ = numbers_of(shown, dt, str(self._known_reader.plan.time))
+        counting = self.numbers.counting
         self.unit_known = len(shown) > 1
-        origin = float(counting.seconds(shown[:1])[0])
-        self.numbers = Numbers(counting, scale_of(origin), origin)
         if self.unit_known and len(self.lone) and counting.zero:
             # one that was taken to be in seconds is a day
             self.clock = replace(self.clock, last=0.0)
@@ -580,7 +540,7 @@ class PipeText(Stream):
         if self.unit_known and counting.hint:
             self.complain("hint", counting.hint)
 
-    def _text_times(self, cells: "pa.Array") -> _LineTimes:
+    def _text_times(self, cells: "pa.Array") -> Times:
         """Return times that are written as text; they are read behind the first and the last, by which the
         order of day and month stays what it was.
         """
@@ -598,10 +558,12 @@ class PipeText(Stream):
             if hint and not self.hinted:
                 self.complain("hint", hint)
             self.hinted = bool(hint)
-            return _LineTimes(time, stamps, cells, np.nan)
+            return time, stamps, cells
         if stamps is not None:
             stamps = stamps[len(before) :]
-        return _LineTimes(time[len(before) :], stamps, cells, time[1])
+        # a clock without a day counts anew from the first one and the last
+        self.clock = replace(self.clock, last=float(time[1]))
+        return time[len(before) :], stamps, cells
 
 
 def _bare(line: bytes) -> bytes:

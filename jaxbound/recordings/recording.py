@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from jaxbound.recordings.arrays import float_arrays, is_made, refuse_infinite, without_words
 from jaxbound.recordings.clockintervals import seconds_of
-from jaxbound.recordings.columns import to_arrow
+from jaxbound.recordings.columns import moments, to_arrow
 from jaxbound.recordings.expressions import find_column
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.means import (
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-__all__ = ["NOWHERE", "SINCE_1970", "Recording"]
+__all__ = ["NOWHERE", "SINCE_1970", "Recording", "Times"]
 
 NOWHERE = np.zeros(0, np.int64)
 THE_MODEL = "the model has"
@@ -136,7 +136,18 @@ class Recording:
         """
         every = every_of(model)
         if every is not None:
-            return cls._of_means(model, u, y, starts, regular, narrow, every)
+            recorded = cls.of(recorded_model(signals_of(model)), u, y, starts, regular=False, narrow=narrow)
+            if recorded.time is None or is_period(recorded.dt, every):
+                return recorded  # means already
+            if not regular:
+                refuse_every(model, "tables that come one by one")
+            if np.size(starts):
+                raise ValueError(f"every = {every!r} and starts do not go together: times show the gaps")
+            left = recorded.unfinished()
+            grid, _ = left.over(every)
+            means = recorded.averaged(grid, left.rows, len(model.inputs))
+            _, seams = tick(Clock(seconds_of(every)), means.time)
+            return replace(means, starts=_union(seams, around(means.excluded)))
         if y is None and is_made(u):
             return cls._of_recording(model, u, starts, narrow)
         is_one = u is y or y is None
@@ -153,8 +164,8 @@ class Recording:
         u, y, excluded, hints = without_words(model, u, y)
         indexes = [x.index for x in (y, u) if hasattr(x, "iloc")]
         tables = {name: x for name, x in (("y", y), ("u", u)) if is_table(x)}
-        samples = float_arrays(model, u, y, narrow, tables, excluded)
-        recording = cls(*samples, NOWHERE, known(model), tuple(model.outputs))._without(excluded)
+        u, y = float_arrays(model, u, y, narrow, tables, excluded)
+        recording = cls(u, y, NOWHERE, known(model), tuple(model.outputs))._without(excluded)
         if indexes:
             recording = recording._timed(model, indexes[0], regular)
         if hints:
@@ -163,25 +174,6 @@ class Recording:
             return recording
         seams = _union(recording.starts, jumps, all_starts(starts, recording.samples))
         return replace(recording, starts=seams)
-
-    @classmethod
-    def _of_means(
-        cls, model: Named, u: Data, y: Data, starts: ArrayLike, regular: bool, narrow: bool, every: str
-    ) -> Recording:
-        """Return the Recording of means over intervals; what has no times, or their step, is taken for means
-        already.
-        """
-        recorded = cls.of(recorded_model(signals_of(model)), u, y, starts, regular=False, narrow=narrow)
-        if recorded.time is None or is_period(recorded.dt, every):
-            return recorded
-        if not regular:
-            refuse_every(model, "tables that come one by one")
-        if np.size(starts):
-            raise ValueError(f"every = {every!r} and starts do not go together: times show the gaps")
-        left = recorded.unfinished()
-        means = recorded.averaged(left, left.grid(every), len(model.inputs))
-        _, seams = tick(Clock(seconds_of(every)), means.time)
-        return replace(means, starts=_union(seams, around(means.excluded)))
 
     def _without(self, excluded: np.ndarray | None) -> Recording:
         """Return the recording without the samples that the model's `where` leaves out."""
@@ -216,28 +208,19 @@ class Recording:
         """
         u, y, excluded = samples
         time, stamps, written = times
-        origin = np.nan  # a clock without a date has none
+        recording = cls(u, y, NOWHERE, known(model), tuple(model.outputs), excluded, source=source)
+        recording = replace(recording, time=time, dt=dt, written=written)
+        if written is None:
+            return recording
+        is_text = str(written.type) in ("string", "large_string")  # a clock without a date has no origin
+        return recording._told(time, stamps, np.nan if is_text else 0.0)
+
+    def _told(self, time: np.ndarray, stamps: np.ndarray | None, origin: float) -> Recording:
+        """Return the recording with these times as labels of its rows. origin: where there are no dates."""
+        index = time
         if stamps is not None and len(stamps):
-            origin = float((stamps[0] - EPOCH) / SECOND - time[0])
-        elif written is not None and str(written.type) not in ("string", "large_string"):
-            origin = 0.0
-        index = None
-        if written is not None:
-            index = time if stamps is None else stamps
-        return cls(
-            u,
-            y,
-            inputs=known(model),
-            outputs=tuple(model.outputs),
-            excluded=excluded,
-            index=index,
-            time=time,
-            origin=origin,
-            dt=dt,
-            stamps=stamps,
-            written=written,
-            source=source,
-        )
+            origin, index = float((stamps[0] - EPOCH) / SECOND - time[0]), stamps
+        return replace(self, index=index, time=time, origin=origin, stamps=stamps)
 
     @classmethod
     def _of_recording(cls, model: Named, given: Data, starts: ArrayLike, narrow: bool) -> Recording:
@@ -294,38 +277,26 @@ class Recording:
             return from_epoch(self.origin + self.time, 1.0)
         return self.stamps
 
-    def averaged(self, left: Unfinished, grid: Grid, m: int) -> Recording:
-        """Return the means over intervals of the clock, without starts and hints, see `means`.
+    def averaged(self, grid: Grid, rows: Rows, m: int, begin: int = 0, zero: int | None = None) -> Recording:
+        """Return the means over intervals of the clock, without starts and hints, with the names of this
+        recording.
 
         Args:
-            left: from `unfinished`. grid: its intervals. m: number of the inputs in u, see `means_of`.
+            grid: the intervals. rows, m, begin: see `means_of`. zero: see `Grid.time`; None: the first one.
         """
-        rows, excluded = left.rows, None
+        u, y, excluded = means_of(grid, rows, m, begin)
+        means = replace(self, u=u, y=y, starts=NOWHERE, dt=grid.every / 1e9, hints=(), written=None)
         if self.excluded is not None:
-            excluded = rows.excluded
-        samples = means_of(grid, 0, rows.u, rows.y, excluded, m)
-        return self.on_grid(grid, int(grid.number[0]), samples)
+            means = replace(means, excluded=excluded)
+        if zero is None:
+            zero = int(grid.number[0])
+        return means._told(grid.time(zero), grid.stamps, 0.0)
 
-    def on_grid(self, grid: Grid, zero: int, samples: Samples) -> Recording:
-        """Return the Recording of means over intervals, with the names of this one.
-
-        Args:
-            grid: the intervals. zero: see `Grid.time`. samples: (u, y, excluded) of them.
-        """
-        u, y, excluded = samples
-        time, stamps = grid.time(zero), grid.stamps
-        origin, index = 0.0, time
-        if stamps is not None:
-            origin, index = float((stamps[0] - EPOCH) / SECOND - time[0]), stamps
-        about: dict[str, Any] = {
-            "index": index,
-            "time": time,
-            "origin": origin,
-            "stamps": stamps,
-            "written": None,
-        }
-        dt = grid.every / 1e9
-        return replace(self, u=u, y=y, excluded=excluded, starts=NOWHERE, dt=dt, hints=(), **about)
+    def worded(self) -> Recording:
+        """Return the recording with its dates as texts, as a file of text has them."""
+        if self.stamps is None:
+            return self
+        return replace(self, written=moments(to_arrow(self.stamps)))
 
     def _head(self) -> str:
         names = f" of {self.source}" if self.source else ""

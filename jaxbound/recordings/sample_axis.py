@@ -181,8 +181,8 @@ def row_of(at: Place, samples: int, index: Labels = None, dt: float | None = Non
         raise ValueError(f"{at!r} names no sample: give its number, or its time, like {like}") from None
     nearest = int(np.argmin(np.abs(time - after)))
     if not abs(time[nearest] - after) <= abs(time[-1]) / max(samples - 1, 1) / 2:
-        ends = row_label(index, 0), row_label(index, samples - 1)
-        raise ValueError(_nothing_at(at, row_label(index, nearest), *ends))
+        first, last = row_label(index, 0), row_label(index, samples - 1)
+        raise ValueError(_nothing_at(at, row_label(index, nearest), first, last))
     return nearest
 
 

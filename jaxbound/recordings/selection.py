@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from jaxbound.recordings.expressions import (
+    TIME_SINCE_START,
     TIMES,
     Expression,
     derived,
@@ -26,8 +27,11 @@ __all__ = [
     "STAMPS",
     "TELLING",
     "Column",
+    "column_for",
     "Wanted",
     "columns_of_signals",
+    "counted_from_start",
+    "expressions_of",
     "time_column",
     "wanted",
     "where_hints",
@@ -146,7 +150,8 @@ class Wanted:
         Raises:
             ValueError: see `Expression.values` and `derived`; a factor that is none.
         """
-        columns = {**columns, **derived(self.clock, count, *moments)}
+        since, stamps = moments
+        columns = {**columns, **derived(self.clock, count, since, stamps)}
         u, y = _stack(self.inputs, columns, count, None), _stack(self.outputs, columns, count, dtype)
         excluded = None
         if self.where is not None:
@@ -178,8 +183,8 @@ def wanted(names: Sequence[str], model: SignalModel, dated: Callable[[str], str]
         ValueError: a column is not there, or there twice; several hold time stamps and none is called like
             time; several hold days.
     """
-    inputs = tuple(_column_for(signal, names, model) for signal in model.inputs)
-    outputs = tuple(_column_for(signal, names, model) for signal in model.outputs)
+    inputs = tuple(column_for(signal, names, model) for signal in model.inputs)
+    outputs = tuple(column_for(signal, names, model) for signal in model.outputs)
     factors = []
     for factor in factors_of(model):
         factors.append(factor.expression.among(dict.fromkeys((*model.inputs, *names))))
@@ -278,9 +283,15 @@ def _day_and_clock(
     return time, halves[0]
 
 
-def _column_for(signal: str, names: Sequence[str], model: SignalModel) -> Column | Expression:
-    """Return the Column of a signal or its Expression; if it is not there, the column called like it."""
-    stated = model.column(signal)
+def column_for(
+    signal: str, names: Sequence[str], model: Named, where: str = "the recording"
+) -> Column | Expression:
+    """Return the Column of a signal or its Expression; if it is not there, the column called like it.
+
+    Args:
+        names: of the columns that there are. where: they are, for sentences.
+    """
+    stated = getattr(model, "column", str)(signal)
     computed = None
     if is_expression(stated):
         computed = expression(stated)
@@ -288,23 +299,37 @@ def _column_for(signal: str, names: Sequence[str], model: SignalModel) -> Column
         if computed is not None:
             return computed.among(names)
         used = (*columns_of_signals(model), *likely(names, TIMES)[:1])
-        return Column(find_column(stated, names, "the recording", used))
+        return Column(find_column(stated, names, where, used))
     except ValueError:
-        if signal in names and signal != stated and (computed is not None or stated not in names):
-            return Column(find_column(signal, names, "the recording"))
+        there = {str(name).strip() for name in names}
+        if signal.strip() in there and signal != stated and (computed is not None or stated not in names):
+            return Column(find_column(signal, names, where))
         raise
 
 
 def columns_of_signals(model: Named) -> set[str]:
     """Return the names of all columns that hold a signal."""
-    column_for = getattr(model, "column", str)
+    stated = getattr(model, "column", str)
     names: set[str] = set()
     for signal in (*model.inputs, *model.outputs):
-        column = column_for(signal)
+        column = stated(signal)
         names |= {signal, column}
         if is_expression(column):
             names.update(expression(column).columns)
     return names
+
+
+def expressions_of(model: Named) -> list[Expression]:
+    """Return the expressions over the columns of recordings: the condition, signals and factors."""
+    stated = getattr(model, "column", str)
+    texts = [getattr(model, "columns", {}).get("where", ""), *(factor.text for factor in factors_of(model))]
+    texts += filter(is_expression, map(stated, (*model.inputs, *model.outputs)))
+    return [expression(text) for text in texts if text]
+
+
+def counted_from_start(model: Named) -> str:
+    """Return the first expression that counts from the first sample of a recording; "" if none does."""
+    return next((e.text for e in expressions_of(model) if TIME_SINCE_START in e.columns), "")
 
 
 def where_hints(where: str, left_out: int, samples: int) -> list[str]:

@@ -4,7 +4,7 @@ A stream is a source as any other (`source.Source`, with `live`): it yields Reco
 position, so that another process can go on behind it.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from hashlib import blake2b
 from typing import Any
@@ -21,8 +21,6 @@ __all__ = ["Complain", "OtherSamples", "Stream", "Taken", "digests_of"]
 
 Complain = Callable[[str, str], None]
 """Called with (kind, sentence) on each sample that is left out, and each seam."""
-Named = Callable[[int], tuple[str, str]]
-"""Returns (name of a sample by its number, time of the last one that was judged), as texts."""
 BYTES = 8  # of a digest: one of a thousand million samples is like another one in 10 thousand million of them
 
 
@@ -100,16 +98,39 @@ class Stream:
         self.lost = 0
         self.aside = False  # whether `where` leaves the last sample out
 
-    def pieces(self, arrivals: Iterator[Any]) -> Iterator[tuple[int, Recording]]:
+    def pieces(self, arrivals: Iterable[Any]) -> Iterator[tuple[int, Recording]]:
         """Yield (number of its first sample, Recording) as samples come; one without samples where there are
         none.
 
         `starts` of a piece has 0 where its first sample does not follow the last one before.
 
         Args:
-            arrivals: what comes from `raw`; None in it ends the stream as a signal does.
+            arrivals: what comes from `raw`; None in it ends the stream as a signal does: what was begun is
+                remembered.
+
+        Raises:
+            ValueError: as `take` and `ended`.
         """
+        for arrival in arrivals:
+            if arrival is None:
+                return
+            yield self.numbered(self.take(arrival))
+        self.ended()
+
+    def take(self, arrival: object) -> Recording | None:
+        """Return the Recording of the samples in what arrived, or None where there is none."""
         raise NotImplementedError
+
+    def ended(self) -> None:
+        """Take the end of the stream."""
+
+    def numbered(self, piece: Recording | None) -> tuple[int, Recording]:
+        """Return (number of its first sample, piece) of one that was just taken; None: without samples."""
+        if piece is None:
+            columns, outputs = known(self.model), self.model.outputs
+            u, y = np.empty((0, len(columns))), np.empty((0, len(outputs)))
+            piece = Recording(u, y, NOWHERE, columns, outputs)
+        return self.clock.samples - piece.samples, piece
 
     def memory(self) -> dict[str, Any] | None:
         """Return the state from which another process goes on, as JSON holds it; None where there is none
@@ -133,12 +154,17 @@ class Stream:
             stamp = np.datetime64(round(when * 1e9), "ns")
         return time_label(when, stamp, self.dt)
 
-    def old_ones(self, digests: np.ndarray, time: np.ndarray, last: float, named: Named) -> int:
+    @property
+    def last_label(self) -> str:
+        """The time of the last sample as its owner would write it."""
+        return self.label(self.clock.last)
+
+    def old_ones(self, digests: np.ndarray, time: np.ndarray, named: Callable[[int], str]) -> int:
         """Return how many samples at the beginning an earlier process had judged.
 
         Args:
-            digests, time: (N,) of samples that come behind those. last: time of the last one that was judged.
-            named: see `Named`.
+            digests, time: (N,) of samples that come behind those. named: returns the name of one by its
+                number.
 
         Raises:
             OtherSamples: the next one is not after the last that was judged: it says something else.
@@ -148,11 +174,10 @@ class Stream:
         if not old.all():
             count = int(np.argmin(old))
         self.skipped += count
-        if count < len(old) and not time[count] > last:
-            one, end = named(count)
+        if count < len(old) and not time[count] > self.clock.last:
             raise OtherSamples(
-                f"{one} is no sample that was judged, though all up to {end} were: another recording, or one "
-                f"whose clock was set back, needs another --out or --state"
+                f"{named(count)} is no sample that was judged, though all up to {self.last_label} were: "
+                f"another recording, or one whose clock was set back, needs another --out or --state"
             )
         if count < len(old) and self.skipped:
             self.complain("replay", self.skipped_text)
@@ -163,37 +188,26 @@ class Stream:
         """The sentence on samples that are skipped."""
         return f"{self.skipped} {self.units} were judged before and are skipped"
 
-    def seams(
-        self, time: np.ndarray, excluded: np.ndarray | None, before: float | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def seams(self, time: np.ndarray, excluded: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Let the clock go on by some samples; return the numbers of those that do not come dt behind the one
         before, and of those at either end of a stretch that `where` leaves out.
 
         Args:
-            time, excluded: as of a Recording. before: time of the sample before them; None: as the clock has
-                it.
+            time, excluded: as of a Recording.
         """
         clock, count, last = self.clock, self.clock.samples, float(time[-1])
-        if before is None:
-            before = clock.last
         # one sample that is on time, as most are: sooner said than by `tick`
-        on_time = len(time) == 1 and count and abs(last - before - self.dt) <= TOLERATED_STEP * self.dt
+        on_time = len(time) == 1 and count and abs(last - clock.last - self.dt) <= TOLERATED_STEP * self.dt
         if on_time or not self.regular:
             self.clock, starts = Clock(self.dt, count + len(time), last, clock.seams), NOWHERE
         else:
-            self.clock, seams = tick(Clock(self.dt, count, before, clock.seams), time)
+            self.clock, seams = tick(clock, time)
             starts = seams - count
         if excluded is None or not self.regular:
             return starts, NOWHERE
         edges = np.flatnonzero(np.diff(excluded.astype(np.int8), prepend=np.int8(self.aside)))
         self.aside = bool(excluded[-1])
         return starts, edges
-
-    def nothing(self) -> tuple[int, Recording]:
-        """Return the piece without samples."""
-        columns, outputs = known(self.model), self.model.outputs
-        u, y = np.empty((0, len(columns))), np.empty((0, len(outputs)))
-        return self.clock.samples, Recording(u, y, NOWHERE, columns, outputs)
 
     def _clock_memory(self) -> dict[str, Any]:
         """Return the memory of the clock."""

@@ -47,11 +47,11 @@ class RowTime(NamedTuple):
     before.
     """
 
-    time: np.ndarray | None
-    origin: float
-    dt: float | None
-    stamps: np.ndarray | None
-    seams: np.ndarray
+    time: np.ndarray | None = None
+    origin: float = np.nan
+    dt: float | None = None
+    stamps: np.ndarray | None = None
+    seams: np.ndarray = np.zeros(0, np.int64)
 
 
 def unlabelled(index: "pd.Index") -> bool:
@@ -193,30 +193,28 @@ def row_time(index: "pd.Index", dt: float | None, whose: str, regular: bool) -> 
         ValueError: no time in some row; another sampling period; rows that run backwards or are not regular;
             times as text.
     """
-    plain = plain_labels(index)
+    plain, stamps = plain_labels(index), None
     kind = plain.dtype.kind
     if kind in ("m", "M"):
         time, origin = _since_first_label(plain)
-        period, seams = _period_and_seams(time, index, dt, whose, regular)
-        stamps = None
         if kind == "M":
             stamps = in_ns(_dates(plain), lambda k: f"the index of row {k}")
-        return RowTime(time, origin, period, stamps, seams)
-    if kind not in ("i", "u", "f"):
-        return RowTime(None, np.nan, None, None, _changes(plain))
-    if unlabelled(plain) or not len(plain):
-        return RowTime(None, np.nan, None, None, np.zeros(0, np.int64))
-    labels = _without_missing(plain.to_numpy(np.float64, na_value=np.nan), np.isnan)
-    if kind != "f":
-        if regular:
-            _refuse_steps(labels)
-        time = labels * (dt or 1.0)
-        _, seams = _period_and_seams(time, index, dt or 1.0, whose, regular)
-        return RowTime(time, 0.0, None, None, seams)
-    time, stamps, _ = read_numbers(labels, dt, str(index.name or ""))
-    origin = 0.0
-    if stamps is not None:
-        origin = float((stamps[0] - EPOCH) / SECOND)
+    elif kind not in ("i", "u", "f"):
+        return RowTime(seams=_changes(plain))
+    elif unlabelled(plain) or not len(plain):
+        return RowTime()
+    else:
+        labels = _without_missing(plain.to_numpy(np.float64, na_value=np.nan), np.isnan)
+        if kind != "f":  # they count the samples
+            if regular:
+                _refuse_steps(labels)
+            time = labels * (dt or 1.0)
+            _, seams = _period_and_seams(time, index, dt or 1.0, whose, regular)
+            return RowTime(time, 0.0, seams=seams)
+        time, stamps, _ = read_numbers(labels, dt, str(index.name or ""))
+        origin = 0.0
+        if stamps is not None:
+            origin = float((stamps[0] - EPOCH) / SECOND)
     period, seams = _period_and_seams(time, index, dt, whose, regular)
     return RowTime(time, origin, period, stamps, seams)
 

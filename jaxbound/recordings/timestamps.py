@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow
-from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP
+from jaxbound.recordings.seams import TOLERATED_STEP
 from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ __all__ = [
     "DIGITS",
     "EPOCH",
     "SECOND",
-    "epoch_scale",
     "from_epoch",
     "in_ns",
     "iso_stamps",
@@ -35,6 +34,7 @@ __all__ = [
     "stamp_kind",
     "time_label",
     "time_like",
+    "uneven_steps",
     "with_day",
 ]
 
@@ -91,7 +91,7 @@ def parse_stamps(
     if iso is not None:
         return _since_first(iso), iso, ""
     read = _in_formats(cells, where)
-    seams = [_seams(stamps, dt) for _, stamps in read]
+    seams = [uneven_steps(_since_first(stamps), dt) for _, stamps in read]
     # 3/4/2017 is a day in March or in April: time runs evenly in one of the two orders only
     smoothest = [one for one, count in zip(read, seams, strict=True) if count == min(seams)]
     form, stamps = smoothest[0]
@@ -240,19 +240,6 @@ def from_epoch(values: np.ndarray, scale: float) -> np.ndarray:
     return np.round(values * (1e9 / scale)).astype("int64").astype("datetime64[ns]")
 
 
-def epoch_scale(values: np.ndarray, dt: float | None) -> float | None:
-    """Return how many units a second of a numeric time column has if it is an epoch (in s, ms, us or ns),
-    else None: it is in seconds.
-    """
-    step = dt or 0.0
-    if len(values) > 1:
-        step = float(np.median(np.diff(values)))
-    scale = scale_of(float(values[0]))
-    if scale is None or scale == 1 or dt is None or abs(step / scale - dt) <= TOLERATED_DT * dt:
-        return scale
-    return None
-
-
 def scale_of(value: float) -> float | None:
     """Return how many units a second has of which a number may be an epoch of these years, or None.
 
@@ -370,14 +357,13 @@ def _stamps_in(
     return stamps
 
 
-def _seams(stamps: np.ndarray, dt: float | None) -> int:
-    """Return how many steps are not dt."""
-    steps = np.diff(_since_first(stamps))
+def uneven_steps(time: np.ndarray, dt: float | None) -> int:
+    """Return how many steps of times in s are not dt, by default the usual one."""
+    steps = np.diff(time)
     if not len(steps):
         return 0
-    if dt is None:
-        dt = np.median(steps)
-    return int((np.abs(steps - dt) > TOLERATED_STEP * abs(dt)).sum())
+    usual = float(np.median(steps)) if dt is None else dt
+    return int((np.abs(steps - usual) > TOLERATED_STEP * abs(usual)).sum())
 
 
 def _since_first(stamps: np.ndarray) -> np.ndarray:

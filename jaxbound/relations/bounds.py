@@ -46,7 +46,7 @@ def model_bounds(model: LinearSystem) -> Bounds:
         bounds["disturbance"] = np.stack([rounding.round_down(list(lo)), rounding.round_up(list(hi))], 1)
     if model.uncertainties:
         bounds["parameters"] = np.ones(len(model.uncertainties))
-    sums = window.bounded_sums(model)
+    sums = model.averages
     if sums:
         bounds["average"] = rounding.round_up([bounded.bound for bounded in sums])
     for bound in bounds.values():
@@ -91,7 +91,7 @@ def _names(model: LinearSystem, kind: str) -> tuple[str, ...]:
     if kind == "disturbance":
         return tuple(f"w{j + 1}" for j in range(model.g))
     if kind == "average":
-        return tuple(bounded.text for bounded in window.bounded_sums(model))
+        return tuple(bounded.text for bounded in model.averages)
     return tuple(u.name for u in model.uncertainties)
 
 

@@ -35,7 +35,7 @@ def relation_cost(model: LinearSystem, horizon: int) -> tuple[float, float]:
         terms = _terms(model, s)
         return 4e-3 * terms, 1e3 * terms
     rows = (s + 1) * model.p + model.g * s
-    for bounded in window.bounded_sums(model):
+    for bounded in model.averages:
         rows += s + bounded.weighted_sum(model.outputs).measured  # no more runs than samples
     columns = model.n + model.g * s + model.d * window.unknown_lags(model, s)
     known, left = model.m * window.input_lags(model, s), max(rows - columns, 0)

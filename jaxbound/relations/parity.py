@@ -180,7 +180,7 @@ class ParityRelation(Formed, LinearRelations):
         refuse_options(method, budget)
         if self._moving is not None:
             return self._moving.test(method, dtype, budget)
-        if window.bounded_sums(self.model) and method != "joint":
+        if self.model.averages and method != "joint":
             raise ValueError(f"averages are tested by method 'joint': {method!r} looks at single samples")
         if self.model.constant_tolerance:
             return GainsTest(self._framed, method, dtype)

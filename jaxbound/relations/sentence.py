@@ -7,7 +7,7 @@ from jaxbound.consistency.interface import Reach, Relations
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.rows import Kind, Row
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.window import bounded_sums, window_rows
+from jaxbound.models.window import window_rows
 
 __all__ = [
     "at_sample",
@@ -170,7 +170,7 @@ def row_name(model: LinearSystem, row: Row) -> str:
         return model.outputs[row.number]
     if row.kind is Kind.DISTURBANCE:
         return f"w{row.number + 1}"
-    return bounded_sums(model)[row.number].text
+    return model.averages[row.number].text
 
 
 def _factor(size: Fraction) -> str:

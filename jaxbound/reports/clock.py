@@ -5,6 +5,7 @@ script.
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -21,6 +22,7 @@ ISO = ("Y4", "-", "m2", "-", "d2", " ", "H2", ":", "M2", ":", "S2")
 TRIED = 9  # labels that a pattern is checked with
 
 
+@dataclass(frozen=True)
 class AxisClock:
     """How the time x of a sample, in s, is written.
 
@@ -29,12 +31,11 @@ class AxisClock:
     what stands behind it; before: what stands before it.
     """
 
-    def __init__(
-        self, tokens: Sequence[str] = (), base: float = 0.0, digits: int = 0, before: str = "", unit: str = ""
-    ) -> None:
-        """Keep the fields."""
-        self.tokens, self.base = tuple(tokens), base
-        self.digits, self.before, self.unit = digits, before, unit
+    tokens: Sequence[str] = ()
+    base: float = 0.0
+    digits: int = 0
+    before: str = ""
+    unit: str = ""
 
     def text(self, x: float) -> str:
         """Return a time as text.

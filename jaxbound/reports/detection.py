@@ -3,7 +3,7 @@
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import singledispatch
 from pathlib import Path
 from typing import Any, cast
@@ -18,7 +18,6 @@ from jaxbound.diagnosis.observed import ObserverResult, shown_name
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.system import LinearSystem
-from jaxbound.plots.residuals import distinct_relations
 from jaxbound.plots.result import draws_bounds, timeline_of
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
@@ -28,7 +27,7 @@ from jaxbound.reports.clock import shown_time
 from jaxbound.reports.monitored import monitor_sections
 from jaxbound.reports.overview import overview
 from jaxbound.reports.page import TITLE, render
-from jaxbound.reports.parts import computed, model_values
+from jaxbound.reports.parts import computed, distinct_relations, model_values
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.endings import sizes_text
 from jaxbound.runs.summary import Evidence, Summary
@@ -48,30 +47,23 @@ LARGE = 64  # readings from which on the errors of single sensors are left to `e
 
 
 def write_report(
-    directory: str | Path,
+    file: Path,
     res: Result | Digest,
     recording: Recording | Digest,
     alarms: Sequence[Alarm],
     summary: Summary,
-    *,
-    seconds: dict[str, float] | None = None,
+    seconds: Mapping[str, float] | None = None,
     extra: Sequence[tuple[object, ...]] = (),
-    progress: Callable[[float], object] | None = None,
-    file: str = "report.html",
-) -> list[str]:
-    """Write report.html: one file that asks nobody, with its charts, and a script of its own that moves one
-    of them.
+) -> None:
+    """Write a page: one file that asks nobody, with its charts, and a script of its own that moves one of
+    them.
 
     Args:
-        directory: an existing folder. res: a Result of one recording, or a Digest. alarms: its alarms.
+        file: its path. res: a Result of one recording, or a Digest. alarms: its alarms.
         recording: with .label(k), .axis and .time, as `read` returns it; for a Digest itself.
         summary: from `summarised`. seconds: {stage: seconds}.
         extra: (title, picture as PNG bytes or None, text, table as rows of cells or None) for sections
             of one's own.
-        progress: called with the share of the work done. file: what to call it.
-
-    Returns:
-        The names of the files written.
     """
     relations, part = res.relations, isinstance(res, Digest)
     model = cast(LinearSystem, relations.model)  # a page is of a plant
@@ -84,10 +76,9 @@ def write_report(
     extra = [*monitor_sections(res, recording.label), *extra]
     rows = _alarm_rows(res, recording, alarms, chosen, why, causes)
     drawn = charts(res, recording, alarms, chosen, why, worst)
-    if progress:
-        progress(0.5)
+    template, values = about(relations)
     page = render(
-        template(relations),
+        template,
         name=model.name,
         verdict=summary.verdict,
         title=TITLE[summary.verdict],
@@ -122,13 +113,10 @@ def write_report(
         model=model_values(model, cast(Mapping[str, np.ndarray], relations.bounds)),
         shown={status.name: shown_name(status, relations.observes) for status in Status},
         observes=relations.observes,
-        **about(relations),
+        **values,
         computed=computed(res.method, looked_at(relations), dtype, seconds or {}),
     )
-    (Path(directory) / file).write_text(page, encoding="utf-8")
-    if progress:
-        progress(1.0)
-    return [file]
+    file.write_text(page, encoding="utf-8")
 
 
 def _picture(res: Result | Digest, recording: Recording | Digest, alarms: Sequence[Alarm]) -> bytes:
@@ -255,31 +243,15 @@ def _sensor_errors(certificate: Any) -> str:
 
 
 @singledispatch
-def template(relations: Any) -> str:
-    """Return the name of the template of a page, chosen by what was tested."""
-    return "detection.html"
-
-
-@template.register(SetObserver)
-def _(observer: SetObserver[Any]) -> str:
-    return "observation.html"
-
-
-@template.register(MonitorBank)
-def _(bank: MonitorBank) -> str:
-    return "monitor.html"
-
-
-@singledispatch
-def about(relations: Any) -> dict[str, object]:
-    """Return the values of the template that describe relations: their number and text, how they are
-    tested.
+def about(relations: Any) -> tuple[str, dict[str, object]]:
+    """Return (template of a page, values that describe relations: their number and text, how they are
+    tested).
     """
     lines, distinct = relations.text().splitlines(), distinct_relations(relations)
     shown = [lines[j] for j in distinct[:LINES]]
     if len(distinct) > LINES:
         shown.append("...")
-    return {
+    return "detection.html", {
         "relations": relations.count,
         "distinct": len(distinct),
         "lines": shown,
@@ -288,15 +260,15 @@ def about(relations: Any) -> dict[str, object]:
 
 
 @about.register(MonitorBank)
-def _(bank: MonitorBank) -> dict[str, object]:
+def _(bank: MonitorBank) -> tuple[str, dict[str, object]]:
     """Return those of a monitor: its tests."""
-    return {"relations": bank.count, "lines": bank.text().splitlines()}
+    return "monitor.html", {"relations": bank.count, "lines": bank.text().splitlines()}
 
 
 @about.register(SetObserver)
-def _(observer: SetObserver[Any]) -> dict[str, object]:
+def _(observer: SetObserver[Any]) -> tuple[str, dict[str, object]]:
     """Return those of an observer: its order, its weights, whether it begins anew."""
-    return {
+    return "observation.html", {
         "order": f"{observer.order:g}",
         "weights": ", ".join(f"{w:g}" for w in observer.weights),
         "restart": observer.restart,

@@ -5,15 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxbound.consistency.interface import Judged
 from jaxbound.consistency.monitorbank import NO, UNKNOWN, YES, MonitorBank
 from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.result import Result
+from jaxbound.recordings.recording import Recording
+from jaxbound.runs.counts import STRETCHES, CountsByTest, OfTest, Unwatched
 from jaxbound.runs.digest import Digest
-from jaxbound.runs.testcounts import STRETCHES, CountsByTest, OfTest, Unwatched
 from jaxbound.text.quantities import percent, three_digits
 
-__all__ = ["monitor_sections"]
+__all__ = ["ORDER", "monitor_sections"]
 
 ORDER = ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING")
 Label = Callable[[int], str]
@@ -69,9 +69,9 @@ def _watched(res: Result | Digest) -> _Watched | None:
     """Return the counts of a monitor; None where another test judged."""
     if isinstance(res, MonitorResult):
         counted, unwatched, fresh = CountsByTest(res.relations), Unwatched(), slice(res.known, None)
-        samples = np.asarray(res.u)[fresh], res.statuses[fresh], res.test_margins[fresh], res.by[fresh]
-        counted.take(*samples)
-        unwatched.add(None, Judged(res.status[fresh], res.margin[fresh]))
+        piece, judged = Recording(np.asarray(res.u)[fresh], np.asarray(res.y)[fresh]), res.judged(fresh)
+        counted.add(piece, judged)
+        unwatched.add(piece, judged)
         return _Watched(counted, unwatched.finish(), res.known)
     if isinstance(res, Digest) and res.by_test is not None and res.unwatched is not None:
         return _Watched(res.by_test, res.unwatched)

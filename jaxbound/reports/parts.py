@@ -1,4 +1,4 @@
-"""Tables of several pages: a model with its bounds, and the versions and device of a result."""
+"""Parts of several pages: a model with its bounds, relations, and the versions and device of a result."""
 
 import platform
 import time
@@ -7,13 +7,14 @@ from fractions import Fraction
 
 import numpy as np
 
+from jaxbound.consistency.interface import Relations
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.modelfile import number_text
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.text.quantities import percent
 
-__all__ = ["computed", "model_values"]
+__all__ = ["computed", "distinct_relations", "model_values"]
 
 DIGITS = 12  # of an exact number, beyond which it is rounded
 
@@ -122,3 +123,19 @@ def computed(
         ("seconds", ", ".join(f"{k} {v:.2f}" for k, v in seconds.items()) or "not measured"),
         ("written", time.strftime("%Y-%m-%d %H:%M:%S %z")),
     ]
+
+
+def distinct_relations(relations: Relations) -> list[int]:
+    """Return the indices of the relations that are not merely an earlier copy of another one."""
+    if relations.linear is None:
+        return list(range(relations.count))
+    relations = relations.linear
+    model, last = relations.model, {}
+    count = (relations.horizon + 1) * model.p
+    for j, (h, k) in enumerate(zip(relations.W, relations.K, strict=True)):
+        disturbances = h[count : count + model.g * relations.horizon]
+        parts = ((h[:count], model.p), (disturbances, model.g), (k, model.m))
+        first = min(i // width for row, width in parts for i, x in enumerate(row) if x)
+        shifted = [[(i - first * width, x) for i, x in enumerate(row) if x] for row, width in parts]
+        last[tuple(map(tuple, shifted))] = j
+    return sorted(last.values())

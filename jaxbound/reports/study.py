@@ -1,24 +1,21 @@
 """The page of a study: what a monitor sees, how soon, and how often it is wrong."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import asdict
 from types import SimpleNamespace
-from typing import TypeAlias, cast
+from typing import cast
 
 import numpy as np
 
+from jaxbound.plots.study import FAULTS, study_charts
 from jaxbound.relations.sentence import looked_at
 from jaxbound.reports.chart import picture_of
 from jaxbound.reports.page import render
 from jaxbound.reports.parts import computed, model_values
-from jaxbound.studies.montecarlo.scenarios import SIZELESS, Trial
 from jaxbound.studies.montecarlo.study_result import StudyResult, study_table
-from jaxbound.studies.montecarlo.tally import TrialTally
-from jaxbound.text.quantities import finite, percent, plain
+from jaxbound.text.quantities import percent, plain
 
 __all__ = ["COLUMNS", "sentence", "study_head", "study_page", "study_rows"]
-
-Chart: TypeAlias = dict[str, object]
-"""A chart, or a curve in one, as the page's script takes it."""
 
 HEAD = (
     "fault",
@@ -39,9 +36,6 @@ COLUMNS = (
     "share; by ..: of a monitor, the share of scenarios in which this test has a FAULT"
 )
 """What the columns of HEAD are."""
-FAULTS, CURVES = 8, 4
-"""Charts, and sizes whose delays are drawn."""
-DELAYS = (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 100000)
 NOT_SHOWN = ("method", "key", "faults", "engine", "dtype")  # settings that are told elsewhere, or to nobody
 
 
@@ -55,7 +49,7 @@ def study_page(res: StudyResult, seed: int, seconds: float) -> str:
         verdict="study",
         title="What this monitor sees",
         sentence=sentence(res),
-        charts=list(_charts(res)),
+        charts=plain(list(map(asdict, study_charts(res)))),
         picture=picture_of(res),
         others=max(len(res.trials) - FAULTS, 0),
         head=study_head(res),
@@ -76,81 +70,6 @@ def _settings(res: StudyResult, seed: int) -> Iterator[tuple[str, object]]:
     for trial in res.trials:
         if trial.fault is not None:
             yield f"onset of {trial.label}", f"samples {trial.onset[0]} to {trial.onset[1] - 1}"
-
-
-def _charts(res: StudyResult) -> Iterator[Chart]:
-    """Yield two charts of each fault: the shares against its size, and the shares detected so soon."""
-    for trial, tally in zip(res.trials[:FAULTS], res.tallies, strict=False):
-        yield _sizes(res, trial, tally)
-        yield _delays(trial, tally)
-
-
-def _sizes(res: StudyResult, trial: Trial, tally: TrialTally) -> Chart:
-    """Return the chart of the shares against the size."""
-    order = np.argsort(trial.sizes)
-    x = np.asarray(trial.sizes, float)[order]
-    least, most = float(x[0]), float(x[-1])
-    guaranteed = finite(trial.guaranteed)
-    if guaranteed is not None:
-        least, most = min(least, guaranteed), max(most, guaranteed)
-    room = 0.03 * (most - least) or abs(most) or 1.0
-    return {
-        "title": trial.label,
-        "label": _size_label(res, trial),
-        "delays": False,
-        "ends": [least - room, most + room],
-        "guaranteed": guaranteed,
-        "curves": [
-            _interval("scenarios detected", "FAULT", x, [end[order] for end in tally.share(res.confidence)]),
-            _interval("FAULT windows", "curve", x, [end[order] for end in tally.rate(res.confidence)]),
-        ],
-    }
-
-
-def _size_label(res: StudyResult, trial: Trial) -> str:
-    """Return the name of the axis of sizes: of a fault that has none, nothing."""
-    if trial.fault is None or trial.fault.kind in SIZELESS:
-        return ""
-    if trial.fault.kind in ("gain", "tolerance"):
-        return "size"
-    unit = res.model.unit(trial.fault.signal)
-    return f"size [{unit}]" if unit else "size"
-
-
-def _interval(name: str, colour: str, x: np.ndarray, ends: Sequence[np.ndarray]) -> Chart:
-    """Return a curve of shares, low and high ends around them."""
-    share, low, high = map(plain, ends)
-    return {
-        "name": name,
-        "colour": colour,
-        "faint": 1,
-        "x": x.tolist(),
-        "share": share,
-        "low": low,
-        "high": high,
-    }
-
-
-def _delays(trial: Trial, tally: TrialTally) -> Chart:
-    """Return the chart of the shares detected within so many samples, for a few of the sizes."""
-    sizes = len(trial.sizes)
-    last = int(np.max(np.flatnonzero(tally.delays.any(0)), initial=1))
-    picked = np.unique(np.linspace(0, sizes - 1, min(CURVES, sizes)).round().astype(int))
-    curves = []
-    for rank, i in enumerate(picked):
-        shares = np.cumsum(tally.delays[i, : last + 2]) / max(tally.scenarios[i], 1)
-        faint = 1 - 0.2 * (len(picked) - 1 - rank)
-        name, x = f"size {trial.sizes[i]:.4g}", list(range(len(shares)))
-        curves.append({"name": name, "colour": "FAULT", "faint": faint, "x": x, "share": shares.tolist()})
-    return {
-        "title": "detected by then",
-        "label": "samples from the onset",
-        "delays": True,
-        "ends": [0, last + 1],
-        "guaranteed": None,
-        "ticks": [t for t in DELAYS if t <= last + 1],
-        "curves": curves,
-    }
 
 
 def study_head(res: StudyResult) -> tuple[str, ...]:

@@ -2,21 +2,21 @@
 true values.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol, cast
+from typing import cast
 
 import numpy as np
 from jax.typing import ArrayLike
 
 from jaxbound.diagnosis.observed import shown_name
-from jaxbound.plots.validation import ValidatedRecording
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
 from jaxbound.reports.chart import ChartPiece, ChartRow, Charts, band_key, picture_of, plain, usual_step
 from jaxbound.reports.clock import axis_of, shown_time
 from jaxbound.reports.page import TITLE, render
 from jaxbound.reports.parts import computed, model_values
+from jaxbound.reports.validated import Validated
 from jaxbound.runs.summary import Evidence, Summary
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import duration
@@ -28,42 +28,18 @@ OUTPUTS = 12  # charts
 NEAR = 600  # samples around the first faulty one of a long recording, drawn one by one
 
 
-class ValidatedReport(ValidatedRecording, Protocol):
-    """A validated recording of which a page tells: its verdicts (T,) and faulty stretches."""
-
-    @property
-    def horizon(self) -> int: ...  # noqa: D102
-    @property
-    def remembers(self) -> bool: ...  # noqa: D102
-    @property
-    def status(self) -> np.ndarray: ...  # noqa: D102
-    @property
-    def method(self) -> str: ...  # noqa: D102
-    @property
-    def first_fault(self) -> int | None: ...  # noqa: D102
-    def stretches(self) -> Sequence[tuple[int, int, int]]: ...  # noqa: D102
-
-
 def write_page(
-    directory: str | Path,
-    res: ValidatedReport,
+    file: Path,
+    res: Validated,
     recording: Recording,
     summary: Summary,
-    *,
-    seconds: dict[str, float] | None = None,
-    progress: Callable[[float], object] | None = None,
-) -> list[str]:
-    """Write report.html: one file that asks nobody, with its charts. Args: as for `detection.write_report`.
-
-    Returns:
-        The names of the files written.
-    """
+    seconds: Mapping[str, float] | None = None,
+) -> None:
+    """Write a page: one file that asks nobody, with its charts. Args: as for `detection.write_report`."""
     model = res.model
     shown = model.outputs[:OUTPUTS]
     drawn = charts(res, recording, shown)
     time = shown_time(recording, len(res.y))
-    if progress:
-        progress(0.5)
     stretches, first = res.stretches(), res.first_fault
     page = render(
         "validation.html",
@@ -87,13 +63,10 @@ def write_page(
         model=model_values(model, {"tolerance": model.tolerance, "noise": model.noise}),
         computed=computed(res.method, looked_at(res), np.asarray(res.found.state.lo).dtype, seconds or {}),
     )
-    (Path(directory) / "report.html").write_text(page, encoding="utf-8")
-    if progress:
-        progress(1.0)
-    return ["report.html"]
+    file.write_text(page, encoding="utf-8")
 
 
-def charts(res: ValidatedReport, recording: Recording, shown: Sequence[str]) -> Charts:
+def charts(res: Validated, recording: Recording, shown: Sequence[str]) -> Charts:
     """Return the charts of the outputs shown: the whole recording, and the samples around the first faulty
     one.
     """
@@ -117,7 +90,7 @@ def charts(res: ValidatedReport, recording: Recording, shown: Sequence[str]) -> 
     )
 
 
-def _extremes(res: ValidatedReport, outputs: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def _extremes(res: Validated, outputs: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return ({key: (T,)}, {key: (T,)}): the least and the most of what is drawn of each output."""
     low: dict[str, np.ndarray] = {}
     high: dict[str, np.ndarray] = {}
@@ -141,7 +114,7 @@ def _finite(end: ArrayLike, i: int) -> np.ndarray:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _row(res: ValidatedReport, recording: Recording, i: int, first: int, last: int) -> tuple[object, ...]:
+def _row(res: Validated, recording: Recording, i: int, first: int, last: int) -> tuple[object, ...]:
     """Return the row of a faulty stretch, with what the sensor showed and should have shown in its middle."""
     name, k = res.model.outputs[i], (first + last) // 2
     unit, corrected = res.model.unit(name), res.found.corrected

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import jax
 import numpy as np
 
-from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, unclaimed
+from jaxbound.consistency.claims import CLAIMED
 from jaxbound.consistency.interface import (
     AUTO,
     Judged,
@@ -28,17 +28,14 @@ from jaxbound.consistency.interface import (
     window_count,
     with_margins,
 )
-from jaxbound.consistency.searched import judging_device
-from jaxbound.diagnosis.result import Result, result_of
+from jaxbound.diagnosis.result import Result, found_by
 from jaxbound.estimation.observation import CarriedState
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.files.checkpoint import Checkpoint
-from jaxbound.models.region import Region
-from jaxbound.recordings.expressions import TIME_SINCE_START, expression, is_expression
-from jaxbound.recordings.factors import factors_of
-from jaxbound.recordings.means import Rows, Unfinished
+from jaxbound.recordings.means import Unfinished
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, around
+from jaxbound.recordings.selection import counted_from_start
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Source
 from jaxbound.relations.identity import identity
@@ -218,26 +215,9 @@ def followed(
     _, last = watch.followed(between, recording.cut(edge, recording.samples))
     pieces.append(last)
     judged = _judged(pieces, given.known)
-    region = Region.of(observer)
-    if region is not None and outside == UNCLAIMED:
-        judged = unclaimed(judged, region.departure(recording.u, judged.status == Status.MISSING))
     fresh = recording.cut(max(given.known - observer.horizon, 0), recording.samples)
-    result = Result(
-        judged.status,
-        judged.margin,
-        watch.method,
-        watch.continued(carry),
-        recording.u,
-        recording.y,
-        recording.index,
-        tuple(recording.starts.tolist()),
-        aside=fresh.aside(observer.horizon),
-        device=judging_device(remembers=True),
-        margins=watch.margins_are,
-        outside_is=outside,
-        known=given.known,
-    )
-    return result_of(observer, judged, result), between
+    result = found_by(watch.continued(carry), recording, judged, outside, observer)
+    return replace(result, aside=fresh.aside(observer.horizon), known=given.known), between
 
 
 def _edge(relations: Relations, recording: Recording) -> int:
@@ -311,23 +291,13 @@ def _under(kind: str, kept: Arrays) -> dict[str, np.ndarray]:
 
 def _arrays_of(rest: Unfinished) -> dict[str, np.ndarray]:
     """Return the samples that a recording left over, and how they are counted, as arrays."""
-    number, origin = np.zeros(0, np.int64), np.zeros(0, "datetime64[ns]")
-    if rest.number is not None:
-        number = np.append(number, rest.number)
-    if rest.origin is not None:
-        origin = np.append(origin, rest.origin)
-    arrays = vars(rest.rows) | {"shown": rest.shown, "number": number, "origin": origin}
-    return {f"{REST} {name}": x for name, x in arrays.items()}
+    return {f"{REST} {name}": x for name, x in rest.arrays().items()}
 
 
 def _unfinished_in(past: Arrays) -> Unfinished | None:
     """Return the samples that `_arrays_of` made arrays of; None: none are kept."""
     rest = _under(REST, past)
-    if not rest:
-        return None
-    shown, number = rest.pop("shown"), rest.pop("number").tolist()
-    origin = [*rest.pop("origin"), None][0]
-    return Unfinished(Rows(**rest), shown, origin, *number)
+    return Unfinished.of(rest) if rest else None
 
 
 def _tail_before(past: Arrays, like: Recording) -> Recording:
@@ -356,21 +326,9 @@ def _why_apart(tail: Recording, recording: Recording, model: SignalModel) -> str
     if abs(step - dt) > TOLERATED_STEP * dt:
         side = "after" if step < 0 else "before"
         return f"{begin}, which ended {abs(step):.6g} s {side} its first sample, not dt = {dt:g} s before"
-    counted = _since_start(model)
+    counted = counted_from_start(model)
     if counted:
         return f"{begin}: {counted!r} counts from the first sample of each recording"
-    return ""
-
-
-def _since_start(model: SignalModel) -> str:
-    """Return the first expression of a model that counts from the first sample; "" if none does."""
-    texts = [model.columns.get("where", ""), *(factor.text for factor in factors_of(model))]
-    for signal in (*model.inputs, *model.outputs):
-        if is_expression(model.column(signal)):
-            texts.append(model.column(signal))
-    for text in texts:
-        if text and TIME_SINCE_START in expression(text).columns:
-            return text
     return ""
 
 

@@ -4,8 +4,8 @@ verdicts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -35,11 +35,12 @@ from jaxbound.recordings.sample_axis import Place, SampleAxis
 from jaxbound.recordings.seams import Clock, irregular, seam_hints, tick
 from jaxbound.recordings.selection import where_hints
 from jaxbound.recordings.signals import Named
-from jaxbound.recordings.stillness import signal_hints, windows_inside
+from jaxbound.recordings.stillness import Runs, signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
 from jaxbound.relations.sentence import looked_at
 from jaxbound.runs.alarmbook import AlarmBook
 from jaxbound.runs.contradiction import REACHES, refuted_again
+from jaxbound.runs.counts import CountsByTest, Tally, Unwatched
 from jaxbound.runs.judges import as_judged
 from jaxbound.runs.loop import Quiet, Taker, follow
 from jaxbound.runs.outputs import output_folder, shared_folder
@@ -49,8 +50,6 @@ from jaxbound.runs.shares import check_share, numbers_of
 from jaxbound.runs.sink import Sink, Verdicts
 from jaxbound.runs.streaming import CHUNK, Asked, all_parts, part_count, publish, write_parts
 from jaxbound.runs.summary import Evidence, evidence
-from jaxbound.runs.tally import Tally
-from jaxbound.runs.testcounts import CountsByTest, Unwatched
 from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress, reporter
@@ -69,42 +68,75 @@ class Digest:
     """The outcome of a test of a recording larger than memory; the verdicts themselves are in files.
 
     Fields:
-        asked: the test, of which relations and method are properties. data: the ParquetSource. samples: their
-            number. counts: {status name: number of windows}.
-        worst: (sample, margin) of the FAULT window with the smallest margin (without FAULT: of any window),
-            or None.
-        margins: "exact", or "bounds": margins of CONSISTENT windows, and that of `worst` where none is FAULT,
-            are then at most the exact ones.
-        alarms: the first and the 200 deepest Alarms in order of time; alarm_count: of all of them. hints:
-            sentences for the user.
+        asked: the test, of which relations and method are properties. data: the ParquetSource. found: the
+            Evidence, of which samples, counts, worst, margins, aside, beyond, alarm_count and ended (of all
+            alarms) are properties.
+        alarms: the first and the 200 deepest Alarms in order of time. hints: sentences for the user.
         line: the Timeline to draw. time: {sample: seconds} of the samples named above, others are read when
             asked for.
-        aside: how many windows are MISSING because the model's `where` leaves out a sample of theirs.
-        ended: {ending of an Alarm: how many of all alarms have it}.
         signals: (low, high), each (k, bins): extremes of the recorded signals in the bins of the line,
             outputs before inputs; or None.
-        beyond: the windows outside the region of training, counted; None: the model states no ranges.
         by_test, unwatched: of a monitor the counts of its tests, and the stretches without a verdict; else
             None.
     """
 
     asked: Asked
     data: ParquetSource
-    samples: int
-    counts: dict[str, int]
-    worst: tuple[int, float] | None
+    found: Evidence
     alarms: list[Alarm]
-    alarm_count: int
     hints: tuple[str, ...]
     line: Timeline
-    time: dict[int, float]
-    aside: int = 0
-    ended: dict[str, int] = field(default_factory=dict)
+    time: SampleTimes
     signals: tuple[np.ndarray, np.ndarray] | None = None
-    margins: str = EXACT
-    beyond: Outside | None = None
     by_test: CountsByTest | None = None
     unwatched: Unwatched | None = None
+
+    @property
+    def samples(self) -> int:
+        """The number of samples."""
+        return self.found.samples
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """{status name: number of windows}."""
+        return self.found.counts
+
+    @property
+    def aside(self) -> int:
+        """How many windows are MISSING because the model's `where` leaves out a sample of theirs."""
+        return self.found.aside
+
+    @property
+    def beyond(self) -> Outside | None:
+        """The windows outside the region of training, counted; None: the model states no ranges."""
+        return self.found.outside
+
+    @property
+    def ended(self) -> Mapping[str, int]:
+        """{ending of an Alarm: how many of all alarms have it}."""
+        return self.found.ended or {}
+
+    @property
+    def alarm_count(self) -> int:
+        """How many alarms there are."""
+        return self.found.alarms
+
+    @property
+    def worst(self) -> tuple[int, float] | None:
+        """(sample, margin) of the FAULT window with the smallest margin (without FAULT: of any window)."""
+        if self.found.at is None:
+            return None
+        return self.found.at, self.found.margin
+
+    @property
+    def margins(self) -> str:
+        """Of the verdicts, "exact" or "bounds", see `Evidence`."""
+        return self.found.margins
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the margin of `worst` is a bound: of windows alone those of FAULT are measured."""
+        return self.found.bounded
 
     @property
     def relations(self) -> Relations:
@@ -115,12 +147,6 @@ class Digest:
     def method(self) -> str:
         """Of the test."""
         return self.asked.method
-
-    @property
-    def bounded(self) -> bool:
-        """Whether the margin of `worst` is a bound: of windows alone those of FAULT are measured."""
-        is_measured = self.counts["FAULT"] > 0 and not self.relations.parts
-        return self.margins == BOUNDS and not is_measured
 
     def _head(self) -> str:
         counts = ", ".join(f"{n} {name}" for name, n in self.counts.items() if n)
@@ -135,14 +161,14 @@ class Digest:
             elif self.bounded:
                 least = "at least "
             rows["worst"] = f"margin {least}{self.worst[1]:.4g} at {self.label(self.worst[0])}"
-        if self.beyond is not None:
+        if self.found.outside is not None:
             tested = self.samples - self.counts["MISSING"]
-            rows["training"] = self.beyond.shown(tested, self.relations.remembers)
+            rows["training"] = self.found.outside.shown(tested, self.relations.remembers)
         return rows | {"alarms": str(self.alarm_count)}
 
     def label(self, k: int) -> str:
         """Return the time of sample k as text."""
-        return time_label(self.time[k], self.data.stamp(self.time[k]), self.data.dt)
+        return self.time.label(k)
 
     def when(self, k: int) -> np.datetime64 | float:
         """Return the time of sample k: a datetime64 where the file has dates, else seconds."""
@@ -200,31 +226,7 @@ def plot_digest(found: Digest, ax: Axes | None = None) -> Figure | Axes:
 
 @evidence.register(Digest)
 def _(res: Digest, alarms: Sequence[Alarm]) -> Evidence:
-    at, margin = None, np.nan
-    if res.worst is not None:
-        at, margin = res.worst
-    tests = covered = None
-    if res.by_test is not None:
-        tests, covered = res.by_test.tests(), res.by_test.covered
-    return Evidence(
-        res.method,
-        res.relations.horizon,
-        res.samples,
-        res.counts,
-        res.aside,
-        at,
-        margin,
-        None,
-        res.alarm_count,
-        res.ended,
-        remembers=res.relations.remembers,
-        margins=res.margins,
-        bounded=res.bounded,
-        outside=res.beyond,
-        observes=res.relations.observes,
-        tests=tests,
-        covered=covered,
-    )
+    return res.found
 
 
 def detect_dataset(
@@ -350,14 +352,13 @@ def digest(
         A Digest.
     """
     report, relations = reporter(progress, "detect_dataset"), asked.relations
-    region = Region.of(relations)
-    tally = Tally(_seconds_at, relations.horizon, region=region)
-    times = _SampleTimes(source)
+    region, parts = Region.of(relations), part_files(folder)
+    tally, times = Tally(relations, _seconds_at), SampleTimes(source)
     drawing = _Drawing(Timeline(source.samples))
     ticking = _Ticking(source.dt, times)
     rule = fitted(rule_of(alarm), relations)
     book = AlarmBook(rule, source, relations, asked.method, alarms_csv, drawing.line.mark)
-    by_test = unwatched = None
+    unwatched = None
     sinks: list[Taker[Recording, Verdicts]] = [tally, ticking, drawing, book, *also]
     if relations.parts:
         unwatched = Unwatched()
@@ -366,45 +367,42 @@ def digest(
         report(tally.samples / source.samples)
     book.close()
     if unwatched is not None:
-        by_test = read_by_test(part_files(folder), relations)
+        tally.by_test = read_by_test(parts, relations)
         unwatched.finish()
+    sentence = irregular(ticking.clock, times.label, source.row, source.probe().time)
+    if sentence:
+        forget_parts(folder)  # verdicts on such data are of no use
+        raise ValueError(f"{source.path}: {sentence}")
     alarms, named = book.alarms()
     times |= named
-    worst = None
+    about = _about_signals(relations, source, tally.samples, read_runs(parts), times.label)
+    margins = asked.test_of(source).margins_are
+    numbers = tally.evidence(asked.method, asked.outside, book.total, book.ended)
+    bounded = margins == BOUNDS and (not numbers.counts["FAULT"] or bool(relations.parts))
+    numbers = replace(numbers, aside=about.aside, at=None, margins=margins, bounded=bounded)
     event = tally.worst or tally.tightest
     if event is not None:
-        worst = event.sample, event.margin
+        numbers = replace(numbers, at=event.sample, margin=event.margin)
         times[event.sample] = float(event.when)
     digested = Digest(
         asked,
         source,
-        tally.samples,
-        tally.named(),
-        worst,
+        numbers,
         alarms,
-        book.total,
         (),
         drawing.line,
         times,
-        ended=book.ended,
-        signals=read_extremes(part_files(folder), source.samples),
-        margins=asked.test_of(source).margins_are,
-        beyond=tally.outside(asked.outside),
-        by_test=by_test,
+        signals=read_extremes(parts, source.samples),
+        by_test=tally.by_test,
         unwatched=unwatched,
     )
-    sentence = irregular(ticking.clock, digested.label, source.row, source.probe().time)
-    if sentence:
-        forget_parts(folder)  # verdicts on such data are of no use
-        raise ValueError(f"{source.path}: {sentence}")
-    about = _about_signals(digested, folder)
-    hints = [*source.hints, *seam_hints(ticking.clock, digested.label, source.row), *about.hints]
-    for device in read_devices(part_files(folder)):
+    hints = [*source.hints, *seam_hints(ticking.clock, times.label, source.row), *about.hints]
+    for device in read_devices(parts):
         hints += device_hints(device)
     hints += bound_hints(relations.model, relations)
-    hints += unfit_by(relations, digested.counts, (worst or (0, np.nan))[1], digested.beyond)
+    hints += unfit_by(relations, numbers.counts, numbers.margin, numbers.outside)
     hints += _wrong_units(digested)
-    digested = replace(digested, hints=tuple(hints), aside=about.aside)
+    digested = replace(digested, hints=tuple(hints))
     # an alarm explains its worst window by the Digest that it was found in
     return replace(digested, alarms=[replace(alarm, result=digested) for alarm in alarms])
 
@@ -425,7 +423,7 @@ def _wrong_units(found: Digest) -> list[str]:
 class _Ticking(Quiet):
     """A sink that finds the seams, and keeps the times that sentences name: of both ends and of seams."""
 
-    def __init__(self, dt: float, times: _SampleTimes) -> None:
+    def __init__(self, dt: float, times: SampleTimes) -> None:
         self.clock, self.times = Clock(dt), times
 
     def add(self, piece: Recording, verdicts: Verdicts) -> None:
@@ -449,7 +447,7 @@ class _Drawing(Quiet):
         self.samples += piece.samples
 
 
-class _SampleTimes(dict[int, float]):
+class SampleTimes(dict[int, float]):
     """{sample: seconds}; those of other samples are read when they are asked for."""
 
     def __init__(self, source: ParquetSource) -> None:
@@ -459,6 +457,10 @@ class _SampleTimes(dict[int, float]):
         self[k] = self.source.time(k)
         return self[k]
 
+    def label(self, k: int) -> str:
+        """Return the time of a sample as text."""
+        return time_label(self[k], self.source.stamp(self[k]), self.source.dt)
+
 
 class _AboutSignals(NamedTuple):
     """Sentences on the signals of a recording, and how many windows are set aside by `where`."""
@@ -467,20 +469,25 @@ class _AboutSignals(NamedTuple):
     aside: int
 
 
-def _about_signals(found: Digest, folder: Path) -> _AboutSignals:
-    """Return sentences on missing samples, on a recorder that rounds and on signals that stand still."""
-    model, where, horizon = found.relations.model, found.data.plan.where, found.relations.horizon
-    samples, aside, hints = found.samples, 0, []
-    runs = read_runs(part_files(folder))
+def _about_signals(
+    relations: Relations, source: ParquetSource, count: int, runs: list[Runs], label: Callable[[int], str]
+) -> _AboutSignals:
+    """Return sentences on missing samples, on a recorder that rounds and on signals that stand still.
+
+    Args:
+        count: of samples. runs: see `read_runs`. label: number of a sample -> text of its time.
+    """
+    model, where, horizon = relations.model, source.plan.where, relations.horizon
+    samples, aside, hints = count, 0, []
     if where is not None:
         *runs, kept = runs
         samples = kept.present
-        aside = found.samples - horizon - windows_inside(kept, horizon)
-        hints = where_hints(where.text, found.samples - samples, found.samples)
+        aside = count - horizon - windows_inside(kept, horizon)
+        hints = where_hints(where.text, count - samples, count)
     named = dict(zip((*known(model), *model.outputs), runs, strict=True))
     still: list[str] = []
     for name in (*model.outputs, *model.inputs):
-        still += signal_hints(name, named[name], found.label, driven=name in model.inputs)
+        still += signal_hints(name, named[name], label, driven=name in model.inputs)
     lacking = {name: samples - signal.present for name, signal in named.items()}
     missing = missing_sentences(model, lacking, samples)
-    return _AboutSignals([*missing, *rounding_hints(model, found.data.probe().y), *still, *hints], aside)
+    return _AboutSignals([*missing, *rounding_hints(model, source.probe().y), *still, *hints], aside)

@@ -2,23 +2,24 @@
 lasts.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import BEGAN_ANEW, GAP, NO_LONGER, ONSET_LEFT, Alarm
 from jaxbound.diagnosis.detectability import always_seen, is_affordable
+from jaxbound.diagnosis.hints import outgrown
 from jaxbound.diagnosis.memory import slowest
 from jaxbound.diagnosis.result import Result
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.sentence import looked_at
 from jaxbound.runs.digest import Digest
-from jaxbound.runs.summary import evidence
+from jaxbound.runs.summary import Summary, evidence, summarised
 from jaxbound.text.names import listed
 from jaxbound.text.quantities import three_digits
 
-__all__ = ["ending_hints", "endings_said", "sizes_seen", "sizes_text"]
+__all__ = ["concluded", "ending_hints", "endings_said", "sizes_seen", "sizes_text"]
 
 WORDS = {
     ONSET_LEFT: "may have ended because the onset left the window: repaired or lasting",
@@ -56,6 +57,25 @@ def _least_sizes(monitor: Relations, readings: np.ndarray) -> dict[str, float] |
         for signal, size in (sizes or {}).items():
             least[signal] = min(size, least.get(signal, np.inf))
     return least or None
+
+
+def concluded(
+    res: Result | Digest,
+    alarms: Sequence[Alarm],
+    stated: LinearSystem,
+    label: Callable[[int], str],
+    min_coverage: float,
+    sizes: Mapping[str, float] | None = None,
+) -> Summary:
+    """Return the Summary of a test, with all that is to be said of it.
+
+    Args:
+        res, alarms, sizes: as for `ending_hints`. stated: the model as its file states it, with the windows
+            that its bounds were found for. label, min_coverage: see `summarised`.
+    """
+    reaches = outgrown(stated, res.relations)
+    hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, alarms, sizes)))
+    return summarised(res, alarms, label, min_coverage, hints, sizes, bool(reaches))
 
 
 def ending_hints(

@@ -24,7 +24,6 @@ from jaxbound.consistency.interface import AUTO, MONITOR, Relations
 from jaxbound.diagnosis.alarmrule import AlarmRule, RuleLike, rule_of
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
-from jaxbound.diagnosis.hints import outgrown
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.modelfile import load_model
@@ -38,10 +37,9 @@ from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.source import Progress
 from jaxbound.runs.continuation import Continuation, Joined, carry_of, followed, joined_carries
-from jaxbound.runs.endings import ending_hints
-from jaxbound.runs.loop import Quiet, follow
+from jaxbound.runs.endings import concluded
 from jaxbound.runs.relations import is_monitored, relations_by
-from jaxbound.runs.summary import CODES, OUTSIDE, Summary, summarised
+from jaxbound.runs.summary import CODES, OUTSIDE, Summary
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.text.objects import readable
@@ -290,16 +288,15 @@ def _test_here(
     units: Sequence[Unit], how: "_How", page: Page | None, report: Progress = lambda share: None
 ) -> Iterator[UnitResult]:
     """Test units in this process."""
-    results, done = _Collected(page), 0
-    try:
-        for _ in follow(_read_groups(units, how), partial(_tested, how=how), [results]):
-            for result in results.take():
-                yield result
-                done += 1
-                report(done / len(units))
-    except KeyboardInterrupt:  # some of those that are followed side by side may be done
-        yield from results.take()
-        raise
+    done = 0
+    for group in _read_groups(units, how):
+        for result, about in _tested(group, how):
+            if page is not None and about is not None:
+                res, recording, alarms = about
+                result = result._replace(report=page(result.unit, res, recording, alarms, result.summary))
+            yield result
+            done += 1
+            report(done / len(units))
 
 
 class _How(NamedTuple):
@@ -326,25 +323,6 @@ class _How(NamedTuple):
 Detected = tuple[Result, Recording, list[Alarm]]
 """The outcome of a unit that was tested, as its page shows it."""
 Judgement = tuple[UnitResult, Detected | None]
-
-
-class _Collected(Quiet):
-    """A sink that makes the pages of units, and keeps their results until somebody takes them."""
-
-    def __init__(self, page: Page | None) -> None:
-        self.page = page
-        self.results: list[UnitResult] = []
-
-    def add(self, result: UnitResult, about: Detected | None) -> None:
-        """Make the page of a unit that was tested."""
-        if self.page is not None and about is not None:
-            result = result._replace(report=self.page(result.unit, *about, result.summary))
-        self.results.append(result)
-
-    def take(self) -> list[UnitResult]:
-        """Return the results since the last call."""
-        results, self.results = self.results, []
-        return results
 
 
 class _UnitData(NamedTuple):
@@ -413,7 +391,6 @@ class _Reader:
         source = open_source(unit.recording, recorded)
         if how.state is None:
             recording = source.read()
-            self._refuse_short(unit, recording, model)
         if relations is None:
             relations = relations_by(method, model, how.horizon, lags=how.lags, options=how.options)
         if self.shared[unit.model] > 1:
@@ -423,19 +400,6 @@ class _Reader:
         # the content before it is read, so that a later change is seen
         kept = Continuation(how.state, unit.name, relations, method, source.content)
         return _UnitData(model, relations, kept.joined(kept.read(source)), kept)
-
-    def _refuse_short(self, unit: Unit, recording: Recording, model: LinearSystem) -> None:
-        """Refuse a recording without a whole window, sooner than relations are worked out."""
-        horizon = None
-        if self.how.ahead == AHEAD:  # windows
-            horizon = self._longest(model)
-        refuse_short(unit.recording, recording.samples, horizon)
-
-    def _longest(self, model: LinearSystem) -> int | None:
-        """Return the horizon of the windows of a model, before its relations are made."""
-        if self.how.lags:
-            return max(self.how.lags)
-        return model.horizon if self.how.horizon is None else self.how.horizon
 
 
 @dataclass(frozen=True, eq=False)
@@ -515,9 +479,8 @@ def _judge_unit(
     if unit.acknowledged is not None:
         rule = replace(rule, acknowledged=unit.acknowledged)
     alarms = res.alarms(rule=rule)
-    res, reaches = replace(res, recorded=recording.hints), outgrown(model, relations)
-    hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, alarms)))
-    summary = summarised(res, alarms, recording.label, how.min_coverage, hints, outgrown=bool(reaches))
+    res = replace(res, recorded=recording.hints)
+    summary = concluded(res, alarms, model, recording.label, how.min_coverage)
     return UnitResult(unit, summary), (res, recording, alarms)
 
 
@@ -559,20 +522,13 @@ def _followed_together(group: Sequence[_UnitData], outside: str) -> _Together:
     y = np.stack([np.asarray(data.recording.y) for data in group])
     one = first.recording
     many = Recording(u, y, one.starts, one.inputs, one.outputs)
-    between = None
-    if first.kept is None:
-        together = detect(observer, many, method=observer.method, outside=outside)
-    else:
-        carry = None
-        if first.joined.carry is not None:
-            carry = joined_carries(observer, [data.joined.carry for data in group])
-        together, between = followed(observer, Joined(many, carry, first.joined.known), outside)
+    carry = None
+    if first.joined.carry is not None:
+        carry = joined_carries(observer, [data.joined.carry for data in group])
+    together, between = followed(observer, Joined(many, carry, first.joined.known), outside)
     outcomes: _Together = {}
     for i, data in enumerate(group):
-        carry = None
-        if between is not None:
-            carry = carry_of(observer, between, i)
-        outcomes[id(data.recording)] = _one_of(together, i, data), carry
+        outcomes[id(data.recording)] = _one_of(together, i, data), carry_of(observer, between, i)
     return outcomes
 
 

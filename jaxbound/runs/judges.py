@@ -54,11 +54,7 @@ class Windows:
             result = self.test(on_device(recording, self.laps))
         fresh = slice(self.done - first, recording.samples)
         self.done = first + recording.samples
-        departure = result.departure
-        if departure is not None:
-            departure = departure.cut(fresh)
-        judged = Judged(result.status[fresh], result.reported[fresh], departure=departure)
-        yield recording.cut(fresh.start, fresh.stop), judged
+        yield recording.cut(fresh.start, fresh.stop), result.judged(fresh)
 
     def memory(self) -> None:
         """Return None: windows carry nothing."""

@@ -16,7 +16,7 @@ from jaxbound.plots.canvas import PANELS, bins, inside
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stillness import Run, Runs, follow_runs, joined_runs
-from jaxbound.runs.testcounts import CountsByTest
+from jaxbound.runs.counts import CountsByTest
 
 __all__ = [
     "DEVICE",
@@ -30,7 +30,6 @@ __all__ = [
     "read_runs",
 ]
 
-NONE = '{"bin": 0, "low": [], "high": []}'  # an earlier jaxbound noted no extremes
 RUNS, EXTREMES, DEVICE, TESTS = b"runs", b"extremes", b"device", b"tests"
 
 
@@ -98,7 +97,7 @@ def read_extremes(parts: Iterable[Path], samples: int) -> tuple[np.ndarray, np.n
     low, high = np.full((2, PANELS, len(bins(samples))), np.nan)
     count = 0
     for metadata in map(_metadata, parts):
-        note = json.loads(metadata.get(EXTREMES, NONE))
+        note = json.loads(metadata[EXTREMES])
         _take_extremes(low, note["bin"], note["low"], np.fmin)
         _take_extremes(high, note["bin"], note["high"], np.fmax)
         count = len(note["low"])

@@ -8,29 +8,28 @@ which it is needed.
 import json
 import os
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, ClassVar, Protocol, cast
 
 import numpy as np
 
 from jaxbound.consistency.interface import Judged, Relations
 from jaxbound.consistency.searched import judging_device
-from jaxbound.diagnosis.result import suspected
 from jaxbound.files.checkpoint import refuse_other
 from jaxbound.files.whole import UNFINISHED, whole
 from jaxbound.models.region import Departure, Region
-from jaxbound.recordings.columns import categories, from_arrow, to_arrow, words
+from jaxbound.recordings.columns import categories, from_arrow
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.parquetfiles import Damage
 from jaxbound.recordings.recording import Recording
+from jaxbound.runs.counts import CountsByTest
 from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.runs.partnotes import DEVICE, RUNS, TESTS, Noted
 from jaxbound.runs.sink import Verdicts
-from jaxbound.runs.testcounts import CountsByTest
-from jaxbound.runs.verdictfiles import outside_columns
+from jaxbound.runs.verdictfiles import columns_of
 from jaxbound.sets.floats.status import Status
 
 if TYPE_CHECKING:
@@ -62,36 +61,13 @@ class Carrier(Protocol):
         """Return its carry, None if it has none."""
 
 
-class _Waiting(NamedTuple):
-    """Samples that wait for their part: times as written, verdicts, signals (n, k), departures, and the
-    numbers of the tests that speak, of a monitor.
-    """
-
-    written: "pa.Array"
-    status: np.ndarray
-    margin: np.ndarray
-    signals: np.ndarray
-    departure: Departure | None
-    by: np.ndarray | None = None
-
-    def cut(self, first: int, stop: int) -> "_Waiting":
-        """Return the rows first .. stop - 1."""
-        here = slice(first, stop)
-        departure = self.departure and self.departure.cut(here)
-        numbers = self.status[here], self.margin[here], self.signals[here]
-        by = None
-        if self.by is not None:
-            by = self.by[here]
-        return _Waiting(self.written[here], *numbers, departure, by)
-
-
 class Parts(Quiet):
     """The parts of a stretch of a recording, a sink.
 
     Args:
-        folder: of the parts. notes: {number of a part: its identity}. size: of a part, in samples. first,
-            end: the samples of the stretch; it begins where a part does. about: the signals of the recording.
-            judge: of the samples; verdicts of one that carries something end where a part does.
+        folder: of the parts. notes: {number of each part, in order: its identity}. size: of a part, in
+            samples. end: of the samples of the stretch. about: the signals of the recording. judge: of the
+            samples; verdicts of one that carries something end where a part does.
         bank: of which each test is counted; None: other relations judge.
     """
 
@@ -100,16 +76,15 @@ class Parts(Quiet):
         folder: Path,
         notes: Mapping[int, Mapping[str, str]],
         size: int,
-        first: int,
         end: int,
         about: Noted,
         judge: Carrier,
         bank: Relations | None = None,
     ) -> None:
         self.folder, self.notes, self.size, self.end = folder, notes, size, end
-        self.done, self.about, self.judge = first, about, judge
-        self.waiting: list[_Waiting] = []
-        self.tests: tuple[str, ...] = ()
+        self.done, self.about, self.judge = min(notes) * size, about, judge
+        self.tables: list[pa.Table] = []  # samples that wait for their part, and their signals (n, k)
+        self.signals: list[np.ndarray] = []
         self.bank, self.counted = bank, None
         if bank is not None:
             self.counted = CountsByTest(bank)
@@ -118,52 +93,35 @@ class Parts(Quiet):
         """Take the next samples; write the parts that they complete, and at the end the part that is left."""
         import pyarrow as pa
 
-        numbers = verdicts.status, verdicts.margin, _signals_and_where(piece)
-        by = getattr(verdicts, "by", None)
-        self.tests = getattr(verdicts, "names", ())
         if self.counted is not None:  # the verdicts of a monitor end where a part does
             self.counted.add(piece, cast(Judged, verdicts))
-        self.waiting.append(_Waiting(piece.column, *numbers, verdicts.departure, by))
-        while rows := sum(len(waiting.status) for waiting in self.waiting):
+        columns = {"time": piece.column, **columns_of(verdicts)}
+        columns["status"] = categories([x.name for x in Status], verdicts.status)
+        self.tables.append(pa.table(columns))
+        self.signals.append(_signals_and_where(piece))
+        while rows := sum(table.num_rows for table in self.tables):
             if rows < self.size and self.done + rows < self.end:
                 return
-            times, status, margin, signals, departures, speaking = zip(*self.waiting, strict=True)
-            numbers = np.concatenate(status), np.concatenate(margin), np.concatenate(signals)
-            whole_by = None
-            if speaking[0] is not None:
-                whole_by = np.concatenate(speaking)
-            together = _Waiting(pa.concat_arrays(times), *numbers, _end_to_end(departures), whole_by)
-            self._write(together.cut(0, self.size))
-            self.waiting = [together.cut(self.size, rows)]
+            table, signals = pa.concat_tables(self.tables), np.concatenate(self.signals)
+            self._write(table.slice(0, self.size).combine_chunks(), signals[: self.size])
+            self.tables, self.signals = [table.slice(self.size)], [signals[self.size :]]
 
-    def _write(self, rows: "_Waiting") -> None:
+    def _write(self, table: "pa.Table", signals: np.ndarray) -> None:
         """Write the next part."""
-        import pyarrow as pa
         import pyarrow.parquet as pq
 
-        test = {}
-        if rows.by is not None:
-            test["test"] = words(("", *self.tests), rows.by + 1)
-        columns = {
-            "time": rows.written,
-            "status": categories([x.name for x in Status], rows.status),
-            "margin": to_arrow(rows.margin),
-            **outside_columns(rows.departure),
-            **test,
-            "suspect": to_arrow(suspected(rows.status, rows.margin)),
-        }
         number = self.done // self.size
         path = self.folder / part_name(number)
-        about = self._metadata(number, rows.signals)
+        about = self._metadata(number, signals)
         self.folder.mkdir(parents=True, exist_ok=True)
         if path.exists():  # another share has made it meanwhile
             refuse_other_part(path, self.notes[number])
         with whole(path, links=False) as f:
-            table = pa.table(columns).replace_schema_metadata(about)
+            table = table.replace_schema_metadata(about)
             pq.write_table(
                 table, f, use_dictionary=["status", "outside_by", "test"], write_page_checksum=True
             )
-        self.done += len(rows.status)
+        self.done += len(signals)
 
     def _metadata(self, number: int, signals: np.ndarray) -> dict[bytes, str]:
         """Return the metadata of the next part."""
@@ -177,15 +135,6 @@ class Parts(Quiet):
         if device := judging_device(self.judge.remembers):
             about[DEVICE] = device
         return about
-
-
-def _end_to_end(departures: Sequence[Departure | None]) -> Departure | None:
-    """Return the departures of pieces as one."""
-    there = [departure for departure in departures if departure is not None]
-    if not there:
-        return None
-    share, by, reading, regions = zip(*there, strict=True)
-    return Departure(np.concatenate(share), np.concatenate(by), np.concatenate(reading), regions[0])
 
 
 def _signals_and_where(piece: Recording) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.read import kind_of
 from jaxbound.runs.sink import Outcome, Sink
 
-__all__ = ["VALIDATION", "RunRecord", "is_outgrown", "load_run", "save_run"]
+__all__ = ["VALIDATION", "RunRecord", "is_outgrown", "load_run"]
 
 VALIDATION = "validation"  # not a method of `detect`: the shell name of `validate`
 
@@ -25,59 +24,33 @@ class RunRecord(Sink):
     names = (RUN,)  # the model may be the one that is tested again
 
     def close(self, outcome: Outcome) -> None:
-        """Write both."""
-        save_run(
-            self.folder,
-            outcome.model,
-            outcome.data,
-            outcome.content,
-            outcome.method,
-            outcome.horizon,
-            outcome.options,
-            outgrown=outcome.summary.found is not None and outcome.summary.found.outgrown,
-        )
+        """Write both, with which `load_run` finds again what was tested.
 
-
-def save_run(
-    directory: Path,
-    model: LinearSystem,
-    data: Path,
-    digest: str | None,
-    method: str,
-    horizon: int,
-    options: Mapping[str, object] | None = None,
-    outgrown: bool = False,
-) -> None:
-    """Write run.json and tested_model.toml, with which `load_run` finds again what was tested.
-
-    Args:
-        directory: of the report. model: that was tested. data: path of the recording.
-        digest: its `content`, taken before it was read for the test: what is written in between cannot pass
-            for it then.
-        method, horizon: of the test; options: of an observer.
-        outgrown: its windows were longer than those that the bounds were found for.
-    """
-    if method != MONITOR:
-        model = model.replace(tests=None)  # none of them was tested
-    data, directory, text = Path(data).resolve(), Path(directory).resolve(), model_text(model).encode()
-    named = str(data)
-    if data.parent == directory:  # a report that holds its recording may be moved
-        named = data.name
-    size = None
-    if data.is_file():
-        size = data.stat().st_size
-    record = {
-        "data": named,
-        "bytes": size,
-        "method": method,
-        "horizon": horizon,
-        "content": digest,
-        "model": hashlib.sha256(text).hexdigest(),
-        "options": dict(options or {}),
-        "outgrown": outgrown,
-    }
-    (directory / MODEL).write_bytes(text)
-    (directory / RUN).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        The digest of the recording was taken before it was read: what is written in between cannot pass for
+        it then.
+        """
+        model, numbers = outcome.model, outcome.summary.found
+        if outcome.method != MONITOR:
+            model = model.replace(tests=None)  # none of them was tested
+        data, directory, text = outcome.data.resolve(), self.folder.resolve(), model_text(model).encode()
+        named = str(data)
+        if data.parent == directory:  # a report that holds its recording may be moved
+            named = data.name
+        size = None
+        if data.is_file():
+            size = data.stat().st_size
+        record = {
+            "data": named,
+            "bytes": size,
+            "method": outcome.method,
+            "horizon": outcome.horizon,
+            "content": outcome.content,
+            "model": hashlib.sha256(text).hexdigest(),
+            "options": dict(outcome.options),
+            "outgrown": numbers is not None and numbers.outgrown,
+        }
+        (directory / MODEL).write_bytes(text)
+        (directory / RUN).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 def is_outgrown(directory: Path) -> bool:

@@ -6,38 +6,16 @@ The outputs of jaxbound stand in a list, `sinks.BUILT_IN`; `register` adds one o
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Protocol
-
-import numpy as np
+from typing import ClassVar
 
 from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.models.region import Departure
+from jaxbound.diagnosis.causes import Verdicts
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.runs.summary import Summary
 
 __all__ = ["REGISTERED", "Outcome", "Sink", "Verdicts", "register"]
-
-
-class Verdicts(Protocol):
-    """The verdicts of some samples: a Result, a Judged, or anything else with a status of each.
-
-    Fields: status: (T,) int8, see `Status`; margin: (T,); departure: (T,) from the region of training, None:
-    it is not known.
-    """
-
-    @property
-    def status(self) -> np.ndarray:
-        """Of each sample."""
-
-    @property
-    def margin(self) -> np.ndarray:
-        """Of each sample, NaN where there is none."""
-
-    @property
-    def departure(self) -> Departure | None:
-        """Of each sample."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -290,7 +290,7 @@ class _Judging:
         relations = self.asked.relations
         about = Noted(self.source.samples, relations.model)
         bank = relations if relations.parts else None
-        sink = Parts(self.folder, notes, self.size, first, end, about, judge, bank)
+        sink = Parts(self.folder, notes, self.size, end, about, judge, bank)
         pieces = self.source.pieces(self.asked.chunk, judge.overlap, max(first - judge.begins, 0), end)
         report(first)
         for at, piece in follow(pieces, judge, [sink], laps=laps):

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from jaxbound.consistency.interface import EXACT, Relations
+from jaxbound.consistency.interface import Relations
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.hints import never_seen, unfit
 from jaxbound.diagnosis.monitored import MonitorResult
-from jaxbound.diagnosis.region import Outside
 from jaxbound.diagnosis.result import Result
-from jaxbound.runs.testcounts import CountsByTest, OfTest
+from jaxbound.recordings.recording import Recording
+from jaxbound.runs.counts import Evidence, OfTest, Tally
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 from jaxbound.text.quantities import finite, most_percent, percent, times
@@ -56,91 +56,6 @@ class Window(NamedTuple):
     sample: int
     time: str
     margin: float
-
-
-@readable
-@dataclass(frozen=True)
-class Evidence:
-    """The numbers that a verdict on a recording rests on.
-
-    Fields:
-        method: of the test. horizon: windows have horizon + 1 samples. samples: how many were tested.
-        counts: {status name: number of windows}. aside: how many are MISSING because the model's `where`
-            leaves out a sample of theirs.
-        at, margin: sample (or whatever has a label) and margin of the FAULT window with the smallest margin
-            (without FAULT: of any window);
-            None, NaN: there is none.
-        first: sample of the first FAULT window, None where it is not known. alarms: how many. ended: {why an
-            alarm is over: how many}.
-        faulty: {output: number of its faulty samples}, of a validation; else None.
-        remembers: whether verdicts rest on all samples since the start (an observer): UNDECIDED then is what
-            healthy samples are.
-        outgrown: whether the bounds were found from data for shorter windows than these: FAULT then proves no
-            fault.
-        margins: of the verdicts, "exact" or "bounds", see `detect`. bounded: whether `margin` is such a
-            bound: the exact one is not below it, of FAULT not above it.
-        outside: the windows outside the region of training; None: the model states no ranges, or a validation
-            judged.
-        observes: whether UNDECIDED is what healthy samples are: of an observer, or a monitor with one.
-        tests: {name: OfTest} of a monitor; else None. test: the name of the one that speaks at `at`.
-        covered: of a monitor how many samples count as decided; None: another test judged. known: how many of
-            the first samples were judged in a recording before.
-    """
-
-    method: str
-    horizon: int
-    samples: int
-    counts: Mapping[str, int]
-    aside: int = 0
-    at: int | None = None
-    margin: float = np.nan
-    first: int | None = None
-    alarms: int = 0
-    ended: Mapping[str, int] | None = None
-    faulty: Mapping[str, int] | None = None
-    remembers: bool = False
-    outgrown: bool = False
-    margins: str = EXACT
-    bounded: bool = False
-    outside: Outside | None = None
-    tests: Mapping[str, OfTest] | None = None
-    test: str = ""
-    observes: bool = False
-    covered: int | None = None
-    known: int = 0
-
-    @property
-    def warm_up(self) -> int:
-        """How many samples at the start have no verdict: none is there yet, or it was given before."""
-        return max(self.horizon, self.known)
-
-    @property
-    def windows(self) -> int:
-        """How many windows there are: the warm-up is none, nor is what the model's `where` leaves out."""
-        return max(self.samples - self.warm_up - self.aside, 0)
-
-    @property
-    def decided(self) -> float:
-        """The share of windows that are proved one way or the other; of a monitor `covered` of them."""
-        if not self.windows:
-            return 0.0
-        if self.covered is not None:
-            return self.covered / self.windows
-        return (self.counts["CONSISTENT"] + self.counts["FAULT"]) / self.windows
-
-    @property
-    def training(self) -> str:
-        """How many windows lie outside the region of training, in words; "": there is no region."""
-        if self.outside is None:
-            return ""
-        return self.outside.shown(round(self.tested * self.windows), self.remembers)
-
-    @property
-    def tested(self) -> float:
-        """The share of windows that have data."""
-        if not self.windows:
-            return 0.0
-        return 1 - (self.counts["MISSING"] - self.warm_up - self.aside) / self.windows
 
 
 @readable
@@ -285,41 +200,30 @@ def evidence(res: Tested, alarms: Sequence[Alarm]) -> Evidence:
 
 @evidence.register(Result)
 def _(res: Result, alarms: Sequence[Alarm]) -> Evidence:
-    fault = res.status == Status.FAULT
-    first = at = None
-    if fault.any():
-        first = at = int(np.argmax(fault))
-    smallest = np.nan
+    tally = Tally(res.relations, _number)
+    tally.add(Recording(np.asarray(res.u), np.asarray(res.y)), res.judged())
+    ended = Counter(alarm.ended for alarm in alarms)
+    found = tally.evidence(res.method, res.outside_is, len(alarms), ended)
+    found = replace(found, aside=res.aside, margins=res.margins, known=res.known)
+    if tally.first is not None:
+        found = replace(found, first=tally.first.sample)
     if res.worst is not None:
-        at, smallest = res.worst
-    return Evidence(
-        res.method,
-        res.relations.horizon,
-        len(res.status),
-        res.counts,
-        res.aside,
-        at,
-        smallest,
-        first,
-        len(alarms),
-        dict(Counter(a.ended for a in alarms)),
-        remembers=res.relations.remembers,
-        margins=res.margins,
-        outside=res.beyond,
-        observes=res.relations.observes,
-        known=res.known,
-    )
+        at, margin = res.worst
+        found = replace(found, at=at, margin=margin)
+    return found
+
+
+def _number(piece: Recording, k: int) -> float:
+    """Return the number of a sample in place of its time."""
+    return k
 
 
 @evidence.register(MonitorResult)
 def _(res: MonitorResult, alarms: Sequence[Alarm]) -> Evidence:
     whole = evidence.dispatch(Result)(res, alarms)
-    counted = CountsByTest(res.relations)
-    counted.take(np.asarray(res.u), res.statuses, res.test_margins, res.by)
-    speaker = ""
-    if whole.at is not None:
-        speaker = res.test_at(whole.at)
-    return replace(whole, tests=counted.tests(), test=speaker, covered=counted.covered)
+    if whole.at is None:
+        return whole
+    return replace(whole, test=res.test_at(whole.at))
 
 
 def summarised(

@@ -4,12 +4,11 @@ from collections.abc import Callable, Sequence
 from functools import singledispatch
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.result import Result, suspected
 from jaxbound.diagnosis.suspects import tells_causes
 from jaxbound.models.region import Departure
@@ -24,10 +23,10 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 __all__ = [
+    "AlarmColumns",
     "AlarmTable",
     "Columns",
     "VerdictTable",
-    "alarm_columns",
     "columns_of",
     "outside_columns",
     "spoken_of",
@@ -61,11 +60,11 @@ class AlarmTable(Sink):
     def close(self, outcome: Outcome) -> None:
         """Write the table."""
         found = outcome.summary.found
-        has_region = found is not None and found.outside is not None
-        has_tests = found is not None and found.tests is not None
-        about = self.recording, outcome.model.dt, has_region, outcome.names_suspects, has_tests
-        causes = outcome.names_suspects and tells_causes(outcome.model)
-        write_alarms(self.folder / self.names[0], outcome.alarms, *about, has_causes=causes)
+        region = found is not None and found.outside is not None
+        tests, suspects = found is not None and found.tests is not None, outcome.names_suspects
+        causes = suspects and tells_causes(outcome.model)
+        shows = AlarmColumns(outcome.model.dt, region, tests, suspects, causes)
+        write_alarms(self.folder / self.names[0], outcome.alarms, self.recording, shows)
 
 
 def write_verdicts(path: str | PathLike[str], result: Verdicts, recording: Recording | None = None) -> None:
@@ -105,42 +104,25 @@ def spoken_of(folder: Path, k: int) -> Spoken:
 
 @singledispatch
 def columns_of(result: Verdicts) -> Columns:
-    """Return the columns of a result beside the time: status, margin (blank where there is none), those of
-    `outside_columns`, suspect.
+    """Return the columns of verdicts beside the time: status, margin (blank where there is none), those of
+    `outside_columns`, of a monitor the name of the test that speaks (blank where none does), suspect.
     """
-    by, names = getattr(result, "by", None), getattr(result, "names", ())
-    return _columns(result.status, result.margin, result.departure, by, names)
+    test, by = {}, getattr(result, "by", None)
+    if by is not None:
+        test["test"] = words(("", *getattr(result, "names", ())), by + 1)
+    return {
+        "status": words([x.name for x in Status], result.status),
+        "margin": to_arrow(result.margin),
+        **outside_columns(result.departure),
+        **test,
+        "suspect": to_arrow(suspected(result.status, result.margin)),
+    }
 
 
 @columns_of.register(Result)
 def _(result: Result) -> Columns:
     """Return those of a Result: margins of FAULT windows are exact."""
-    return _columns(result.status, result.reported, result.departure)
-
-
-@columns_of.register(MonitorResult)
-def _(result: MonitorResult) -> Columns:
-    """Return those of a monitor: test is the name of the test that speaks, blank where none does."""
-    return _columns(result.status, result.reported, result.departure, result.by, result.names)
-
-
-def _columns(
-    status: np.ndarray,
-    margin: np.ndarray,
-    departure: Departure | None,
-    by: np.ndarray | None = None,
-    names: Sequence[str] = (),
-) -> Columns:
-    test = {}
-    if by is not None:
-        test["test"] = words(("", *names), by + 1)
-    return {
-        "status": words([x.name for x in Status], status),
-        "margin": to_arrow(margin),
-        **outside_columns(departure),
-        **test,
-        "suspect": to_arrow(suspected(status, margin)),
-    }
+    return columns_of(result.judged())
 
 
 def outside_columns(departure: Departure | None) -> Columns:
@@ -158,72 +140,70 @@ def outside_columns(departure: Departure | None) -> Columns:
     }
 
 
+class AlarmColumns(NamedTuple):
+    """The columns of alarms.csv.
+
+    Fields: dt: sampling period in s. region: whether there is a region of training. tests: whether a monitor
+    judged. suspects: whether the rule of alarms names them. causes: whether the model names faults, too.
+    """
+
+    dt: float
+    region: bool = False
+    tests: bool = False
+    suspects: bool = False
+    causes: bool = False
+
+    def of(
+        self, alarms: Sequence[Alarm], at: Callable[[np.ndarray], tuple["pa.Array", np.ndarray]]
+    ) -> Columns:
+        """Return start and end (time of the recording), duration in s, FAULT windows, depth and when it was
+        reached.
+
+        `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt;
+        `ended`, `test`, `suspect`, `size`, `cause`, `outside`, `outside_by`: see `Alarm`.
+
+        Args:
+            at: the times of samples, as written and in seconds.
+        """
+
+        def numbers(name: str, kind: type = np.int64) -> np.ndarray:
+            return np.array([getattr(alarm, name) for alarm in alarms], kind)
+
+        def said(name: str) -> "pa.Array":
+            return texts([getattr(alarm, name) for alarm in alarms])
+
+        start, end, depth = numbers("start"), numbers("end"), numbers("depth", np.float64)
+        (begun, begin), (over, stop) = at(start), at(end)
+        columns = {
+            "start": begun,
+            "end": over,
+            "duration_s": to_arrow(np.round(stop - begin + self.dt, 9)),
+            "first_sample": to_arrow(start),
+            "last_sample": to_arrow(end),
+            "windows": to_arrow(numbers("windows")),
+            "depth": to_arrow(depth),
+            "factor": to_arrow(1 - depth),
+            "worst": at(numbers("worst"))[0],
+            "ended": said("ended"),
+        }
+        if self.tests:
+            columns["test"] = said("test")
+        if self.suspects:
+            columns |= {"suspect": said("suspect"), "size": to_arrow(numbers("size", np.float64))}
+        if self.causes:
+            columns["cause"] = said("cause")
+        if self.region:
+            columns |= {"outside": to_arrow(numbers("outside")), "outside_by": said("outside_by")}
+        return columns
+
+
 def write_alarms(
-    path: str | PathLike[str],
-    alarms: Sequence[Alarm],
-    recording: Recording,
-    dt: float,
-    has_region: bool = False,
-    names: bool = False,
-    has_tests: bool = False,
-    has_causes: bool = False,
+    path: str | PathLike[str], alarms: Sequence[Alarm], recording: Recording, shows: AlarmColumns
 ) -> None:
-    """Write one row an alarm, see `alarm_columns`, with the times of the recording."""
+    """Write one row an alarm, with the times of the recording."""
     written, time = recording.column, recording.time
 
     def at(samples: np.ndarray) -> tuple["pa.Array", np.ndarray]:
         return written.take(to_arrow(samples)), time[samples]
 
-    write_columns(path, alarm_columns(alarms, at, dt, has_region, names, has_tests, has_causes))
-
-
-def alarm_columns(
-    alarms: Sequence[Alarm],
-    at: Callable[[np.ndarray], tuple["pa.Array", np.ndarray]],
-    dt: float,
-    has_region: bool,
-    names: bool,
-    has_tests: bool,
-    has_causes: bool,
-) -> Columns:
-    """Return the columns of alarms.csv: start and end (time of the recording), duration in s, FAULT windows,
-    depth and when it was reached.
-
-    `factor` is how many times wider the bounds would have to be; an alarm of a single sample lasts dt;
-    `ended`, `test`, `suspect`, `size`, `cause`, `outside`, `outside_by`: see `Alarm`; test where a monitor
-    judged, suspect and size where the rule of alarms names suspects, cause where the model names faults, too,
-    the last two where there is a region of training.
-
-    Args:
-        at: the times of samples, as written and in seconds.
-    """
-
-    def numbers(name: str, kind: type = np.int64) -> np.ndarray:
-        return np.array([getattr(alarm, name) for alarm in alarms], kind)
-
-    def said(name: str) -> "pa.Array":
-        return texts([getattr(alarm, name) for alarm in alarms])
-
-    start, end, depth = numbers("start"), numbers("end"), numbers("depth", np.float64)
-    (begun, begin), (over, stop) = at(start), at(end)
-    columns = {
-        "start": begun,
-        "end": over,
-        "duration_s": to_arrow(np.round(stop - begin + dt, 9)),
-        "first_sample": to_arrow(start),
-        "last_sample": to_arrow(end),
-        "windows": to_arrow(numbers("windows")),
-        "depth": to_arrow(depth),
-        "factor": to_arrow(1 - depth),
-        "worst": at(numbers("worst"))[0],
-        "ended": said("ended"),
-    }
-    if has_tests:
-        columns["test"] = said("test")
-    if names:
-        columns |= {"suspect": said("suspect"), "size": to_arrow(numbers("size", np.float64))}
-    if has_causes:
-        columns["cause"] = said("cause")
-    if has_region:
-        columns |= {"outside": to_arrow(numbers("outside")), "outside_by": said("outside_by")}
-    return columns
+    write_columns(path, shows.of(alarms, at))

@@ -11,7 +11,7 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.cli import evaluation, main
-from jaxbound.cli.pipe import judge_stream
+from jaxbound.cli.pipe import LiveRun, judge_stream
 from jaxbound.consistency.searched import NOT_REFUTED
 
 pytestmark = pytest.mark.compiled
@@ -74,7 +74,7 @@ def test_a_fleet_and_a_pipe_say_so_too(place, capsys):
     code, _ = summary(capsys, "fleet", "fleet.csv", "--out", "units")
     assert code == 1 and NOT_REFUTED in (place / "units" / "fleet.html").read_text()
     with unexamined(), lying(0.02):
-        assert judge_stream("model.toml", [(place / "run.csv").read_bytes()]) == 1
+        assert judge_stream(LiveRun("model.toml"), [(place / "run.csv").read_bytes()]) == 1
     out, err = capsys.readouterr()
     assert NOT_REFUTED in err and "CONSISTENT" not in out
 

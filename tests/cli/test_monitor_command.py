@@ -13,7 +13,7 @@ import jaxbound as jb
 from jaxbound.certificates.checker.script import main as checker
 from jaxbound.cli import main
 from jaxbound.cli.options import MethodOptions
-from jaxbound.cli.pipe import judge_stream
+from jaxbound.cli.pipe import LiveRun, judge_stream
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.recordings.read import open_source
 from jaxbound.runs import streaming
@@ -95,7 +95,7 @@ def test_bounds_that_one_test_has_outgrown_are_no_headline_where_another_proves_
     pd.read_csv(data).to_parquet(tmp_path / "run.parquet")
     assert detect((model, tmp_path / "run.parquet"), tmp_path / "parts") == 1
     assert "Fault proved" in capsys.readouterr().out
-    assert judge_stream(model, [data.read_bytes()]) == 1
+    assert judge_stream(LiveRun(model), [data.read_bytes()]) == 1
     assert "Fault proved" in capsys.readouterr().err
     assert main.main(["explain", str(tmp_path / "both"), "--at", "40"]) == 0
     assert "FAULT outside the bounds as fitted" in capsys.readouterr().out, (
@@ -121,7 +121,7 @@ def test_a_mode_that_nobody_knows_needs_the_bounds_of_every_test_that_refutes_it
     pd.read_csv(data).to_parquet(tmp_path / "run.parquet")
     assert detect((model, tmp_path / "run.parquet"), tmp_path / "parts") == 3
     assert "Outside the bounds as fitted" in capsys.readouterr().out
-    assert judge_stream(model, [data.read_bytes()]) == 3
+    assert judge_stream(LiveRun(model), [data.read_bytes()]) == 3
     assert "Outside the bounds as fitted" in capsys.readouterr().err
 
 
@@ -229,7 +229,7 @@ def test_alarms_of_a_monitor_are_those_of_its_verdicts(plant):
 
 def test_a_pipe_names_the_test_that_speaks_in_each_line(plant, tmp_path, capsysbinary):
     model, data = plant
-    code = judge_stream(model, [data.read_bytes()], options=MethodOptions(), as_json=True)
+    code = judge_stream(LiveRun(model, options=MethodOptions(), json=True), [data.read_bytes()])
     lines = [json.loads(line) for line in capsysbinary.readouterr().out.splitlines()]
     assert code == 1
     faults = [(k, line["test"]) for k, line in enumerate(lines) if line["status"] == "FAULT"]
@@ -241,7 +241,7 @@ def test_a_pipe_names_the_test_that_speaks_in_each_line(plant, tmp_path, capsysb
 def test_a_pipe_counts_by_test(plant, capfd):
     model, data = plant
     text = data.read_bytes()
-    judge_stream(model, [text[:400], text[400:]], options=MethodOptions())
+    judge_stream(LiveRun(model, options=MethodOptions()), [text[:400], text[400:]])
     said = capfd.readouterr().err
     assert "test jumps: 31 MISSING, " in said, "in mode 2, and at the first sample"
     assert "test drifts: 2 MISSING, 55 CONSISTENT, 3 FAULT" in said, "the windows that hold sample 40"
@@ -249,7 +249,7 @@ def test_a_pipe_counts_by_test(plant, capfd):
 
 def test_a_pipe_names_the_test_by_which_an_alarm_begins(plant, capsysbinary):
     model, data = plant
-    judge_stream(model, [data.read_bytes()], options=MethodOptions(), as_json=True, alarm=AlarmRule())
+    judge_stream(LiveRun(model, options=MethodOptions(), json=True, alarm=AlarmRule()), [data.read_bytes()])
     lines = [json.loads(line) for line in capsysbinary.readouterr().out.splitlines()]
     begun = [(line["sample"], line["test"]) for line in lines if line.get("alarm") == "begin"]
     assert begun == [(20, "jumps"), (40, "drifts")]
@@ -324,8 +324,8 @@ def test_alarms_of_a_monitor_name_suspects_in_parts_and_through_a_pipe(plant, tm
     given = AlarmRule(suspects=True, least={"height": 0.01})
     for size in (7, 60):  # resumed once, in the middle of the second alarm
         half = [b"".join(lines[k : k + size]) for k in range(0, 42, size)]
-        judge_stream(model, half, out=tmp_path / f"pipe{size}", alarm=given)
-        judge_stream(model, [b"".join(lines)], out=tmp_path / f"pipe{size}", alarm=given)
+        judge_stream(LiveRun(model, out=tmp_path / f"pipe{size}", alarm=given), half)
+        judge_stream(LiveRun(model, out=tmp_path / f"pipe{size}", alarm=given), [b"".join(lines)])
     tables = []
     for name in ("whole", "parts", "pipe7", "pipe60"):
         tables.append(pd.read_csv(tmp_path / name / "alarms.csv"))

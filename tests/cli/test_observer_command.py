@@ -403,5 +403,8 @@ def test_bounds_found_for_shorter_windows_prove_no_fault(place, capsys, monkeypa
     assert detect("--json", out="parts", data="run.parquet") == code
     assert json.loads(capsys.readouterr().out)["verdict"] == verdict
     options = MethodOptions("observer")
-    assert piped.judge_stream("plant.toml", [(place / "run.csv").read_bytes()], options=options) == code
+    assert (
+        piped.judge_stream(piped.LiveRun("plant.toml", options=options), [(place / "run.csv").read_bytes()])
+        == code
+    )
     assert f"{title}: " in capsys.readouterr().err

@@ -1,6 +1,5 @@
 """The parser: near words, completion, and options that stand in their command's file alone."""
 
-import argparse
 import os
 import subprocess
 import sys
@@ -85,12 +84,7 @@ def test_the_list_of_commands_names_no_option():
 
 
 def test_a_new_option_is_written_in_its_commands_file_alone(monkeypatch):
-    def with_one_more(parser: argparse.ArgumentParser) -> None:
-        add(parser)
-        parser.add_argument("--colour", help="of the curtains")
-
-    add = main.info.options
-    monkeypatch.setattr(main.info, "options", with_one_more)
+    monkeypatch.setitem(main.info.OPTIONS.help, "--colour NAME", "of the curtains")
     monkeypatch.setattr(main.info, "run", lambda args: 40 + len(args.colour))
     monkeypatch.setattr(main, "_configure", lambda: None)
     assert main.main(["info", "--colour", "ab"]) == 42

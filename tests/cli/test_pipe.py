@@ -78,7 +78,7 @@ def pipe(capsysbinary, place):
         pieces = chunks or [data[a:b] for a, b in zip(cuts, cuts[1:], strict=False)]
         model = changes.pop("model", "model.toml")
         test = {name: changes.pop(name) for name in ("method", "horizon", "lags") if name in changes}
-        code = piped.judge_stream(model, pieces, MethodOptions(**test), **changes)
+        code = piped.judge_stream(piped.LiveRun(model, MethodOptions(**test), **changes), pieces)
         out, err = (x.decode() for x in capsysbinary.readouterr())
         return code, out.removeprefix("time,status,margin\n"), err.replace("jaxbound: ", "")
 
@@ -180,7 +180,7 @@ class TestVerdicts:
         assert N - 1 - counts["aside"] == aside
 
     def test_json_lines(self, samples, place, pipe):
-        code, out, _ = pipe(lines(samples)[:12], as_json=True)
+        code, out, _ = pipe(lines(samples)[:12], json=True)
         rows = [json.loads(row) for row in out.splitlines()]
         assert (
             code == 0
@@ -196,7 +196,7 @@ class TestVerdicts:
         alarms = res.alarms()
         text = [text[0], *text[1:221]]
         for cuts in ((), sorted(rng.integers(0, len("".join(text)), 9).tolist())):
-            _, out, err = pipe(text, cuts=cuts, as_json=True)
+            _, out, err = pipe(text, cuts=cuts, json=True)
             said = {
                 k: row["ended"] for k, row in enumerate(map(json.loads, out.splitlines())) if row["ended"]
             }

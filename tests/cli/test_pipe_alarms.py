@@ -61,7 +61,7 @@ def send(capsysbinary, place):
     def sent(lines, size=1000, rule=None, **changes):
         capsysbinary.readouterr()
         pieces = ["".join(lines[k : k + size]).encode() for k in range(0, len(lines), size)]
-        piped.judge_stream("model.toml", pieces, MethodOptions(), alarm=rule, **changes)
+        piped.judge_stream(piped.LiveRun("model.toml", MethodOptions(), alarm=rule, **changes), pieces)
         return capsysbinary.readouterr().out.decode().splitlines()
 
     return sent
@@ -90,12 +90,12 @@ def test_an_alarm_goes_on_after_a_kill_and_after_an_end(
     text, place, send, options, monkeypatch, capsysbinary
 ):
     rule = RULES[options]
-    expected = send(text, 9, rule, out=place / "whole", as_json=True)
+    expected = send(text, 9, rule, out=place / "whole", json=True)
 
     class Killed(BaseException):
         """Raised where a process is killed."""
 
-    printed = send(text[:98], 9, rule, out=place / "out", as_json=True)  # it ends within an alarm
+    printed = send(text[:98], 9, rule, out=place / "out", json=True)  # it ends within an alarm
     for last in (104, 113, 155, 210):
 
         def dying(self, memory, save=journal.Journal.save, last=last):
@@ -105,9 +105,9 @@ def test_an_alarm_goes_on_after_a_kill_and_after_an_end(
 
         with monkeypatch.context() as patched, pytest.raises(Killed):
             patched.setattr(journal.Journal, "save", dying)
-            send(text, 9, rule, out=place / "out", as_json=True)
+            send(text, 9, rule, out=place / "out", json=True)
         printed += capsysbinary.readouterr().out.decode().splitlines()
-    printed += send(text, 9, rule, out=place / "out", as_json=True)
+    printed += send(text, 9, rule, out=place / "out", json=True)
     assert printed == expected
     assert (place / "out/alarms.csv").read_text() == (place / "whole/alarms.csv").read_text()
 
@@ -123,7 +123,7 @@ def test_a_line_tells_that_an_alarm_begins_and_ends(text, place, send):
     assert notices[0] == f"# alarm 1 begins at {first.start / 2:g}, suspect {first.suspect}"
     assert told[told.index(notices[0]) - 1] == plain[1 + first.start]
     assert notices[1] == f"# alarm 1 ends at {first.end / 2:g}, suspect {first.suspect}: {first.ended}"
-    lines = [json.loads(line) for line in send(text[:130], rule=AlarmRule(suspects=True), as_json=True)]
+    lines = [json.loads(line) for line in send(text[:130], rule=AlarmRule(suspects=True), json=True)]
     begin, end, *_ = [line for line in lines if "alarm" in line]
     assert begin == {
         "alarm": "begin",
@@ -152,7 +152,9 @@ def test_an_operator_acknowledges_while_samples_come(text, place, capsysbinary):
             if k == 110:
                 seen.write_text("soon\n53.5\n")
 
-    assert piped.judge_stream("model.toml", pieces(), MethodOptions(), alarm=rule, as_json=True) == 1
+    assert (
+        piped.judge_stream(piped.LiveRun("model.toml", MethodOptions(), alarm=rule, json=True), pieces()) == 1
+    )
     out, err = capsysbinary.readouterr()
     told = [line for line in map(json.loads, out.decode().splitlines()) if "alarm" in line]
     ends = [(line["time"], line["ended"]) for line in told if line["alarm"] == "end"]
@@ -165,7 +167,7 @@ def test_the_cause_stands_in_lines_tables_and_the_summary(text, place, send, cap
     jb.save_model(model, "model.toml")
     (place / "run.csv").write_text("".join(text[:130]))
     rule = AlarmRule(2, 3, suspects=True)
-    lines = [json.loads(line) for line in send(text[:130], 9, rule, out=place / "out", as_json=True)]
+    lines = [json.loads(line) for line in send(text[:130], 9, rule, out=place / "out", json=True)]
     told = [(line["alarm"], line["cause"]) for line in lines if line.get("alarm")]
     main.main("detect model.toml run.csv --out file --alarm 2/3 --suspects --json".split())
     summary = json.loads(capsysbinary.readouterr().out)

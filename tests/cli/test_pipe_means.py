@@ -38,7 +38,7 @@ def test_verdicts_of_a_pipe_are_those_of_the_file(tmp_path, monkeypatch, rng, ki
     chunks = [text[a:b] for a, b in itertools.pairwise([0, *cuts, len(text)])]
     runs = [[chunk, None] for chunk in chunks] if kill else [chunks]
     for run in runs:
-        piped.judge_stream("m.toml", iter(run), out=tmp_path / "out")
+        piped.judge_stream(piped.LiveRun("m.toml", out=tmp_path / "out"), iter(run))
     found = pd.read_csv("out/verdicts.csv")
     result = jb.detect(jb.parity_relations(jb.load_model("m.toml")), jb.read("run.csv", model))
     assert found["status"].tolist() == [Status(s).name for s in result.status[: len(found)]]

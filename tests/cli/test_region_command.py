@@ -121,14 +121,16 @@ def test_a_pipe_says_the_same_line_by_line(options, place, capsysbinary):
         capsysbinary.readouterr()
         ends = [0, *cuts, len(data)]
         pieces = [data[a:b] for a, b in zip(ends, ends[1:], strict=False)]
-        piped.judge_stream("tank.toml", pieces, options=MethodOptions(**options), out=place / name)
+        piped.judge_stream(
+            piped.LiveRun("tank.toml", options=MethodOptions(**options), out=place / name), pieces
+        )
         out, err = capsysbinary.readouterr()
         assert (place / name / "verdicts.csv").read_bytes() == expected.replace(
             b"t,status", b"time,status", 1
         )
         assert out.splitlines() == [row.rpartition(b",")[0] for row in expected.splitlines()]
         assert b"training: " in err
-    piped.judge_stream("tank.toml", [data], options=MethodOptions(**options), as_json=True)
+    piped.judge_stream(piped.LiveRun("tank.toml", options=MethodOptions(**options), json=True), [data])
     lines = [json.loads(line) for line in capsysbinary.readouterr().out.splitlines()]
     rows = rows_of("whole/verdicts.csv")
     for line, row in zip(lines, rows, strict=True):
@@ -143,13 +145,13 @@ def test_a_pipe_that_was_stopped_goes_on_with_what_it_knows(method, place, capsy
     """The window behind the cut reads inputs from before it, and so does an observer's step."""
     text = (place / "run.csv").read_bytes().splitlines(keepends=True)
     options = MethodOptions(method=method)
-    piped.judge_stream("tank.toml", [b"".join(text)], options=options, out=place / "one")
+    piped.judge_stream(piped.LiveRun("tank.toml", options=options, out=place / "one"), [b"".join(text)])
     whole = capsysbinary.readouterr().err.splitlines()
     counted = [line for line in whole if line.startswith(b"jaxbound: training: ")]
     for cut in (75, 76):
         out = place / f"out{cut}"
-        piped.judge_stream("tank.toml", [b"".join(text[:cut])], options=options, out=out)
-        piped.judge_stream("tank.toml", [b"".join(text)], options=options, out=out)
+        piped.judge_stream(piped.LiveRun("tank.toml", options=options, out=out), [b"".join(text[:cut])])
+        piped.judge_stream(piped.LiveRun("tank.toml", options=options, out=out), [b"".join(text)])
         assert (out / "verdicts.csv").read_bytes() == (place / "one/verdicts.csv").read_bytes()
         assert counted[0] == counted[-1] in capsysbinary.readouterr().err.splitlines()
 
@@ -176,10 +178,10 @@ def test_undecided_claims_nothing_outside(place, capsys):
 
 def test_what_was_begun_with_one_word_is_not_gone_on_with_by_another(place, capsys):
     text = (place / "run.csv").read_bytes()
-    piped.judge_stream("tank.toml", [text], out=place / "live")
+    piped.judge_stream(piped.LiveRun("tank.toml", out=place / "live"), [text])
     with pytest.raises(Exception, match="is of another word outside training"):
         other = MethodOptions(outside="undecided")
-        piped.judge_stream("tank.toml", [text], options=other, out=place / "live")
+        piped.judge_stream(piped.LiveRun("tank.toml", options=other, out=place / "live"), [text])
 
 
 def test_validation_takes_no_such_word(place, capsys):

@@ -15,7 +15,7 @@ from jaxbound.cli.fleet_table import write_fleet
 from jaxbound.cli.main import COMMANDS
 from jaxbound.models import modelfile
 from jaxbound.models.modelfile import load_model, template
-from jaxbound.plots.canvas import canvas, to_png
+from jaxbound.plots.canvas import canvas, style, to_png
 from jaxbound.recordings.expressions import expression, missing_column
 from jaxbound.recordings.read import read
 from jaxbound.runs.fleet import Unit, UnitResult
@@ -146,9 +146,10 @@ def test_no_cell_of_fleet_csv_is_a_formula(tmp_path, name):
 
 
 def test_a_name_with_dollar_signs_is_drawn_as_it_is():
-    fig = canvas((2, 1))
-    fig.text(0, 0, r"$\no$ such thing $")
-    fig.text(0, 0, r"$\nonsense{$")
+    with style():
+        fig = canvas((2, 1))
+        fig.text(0, 0, r"$\no$ such thing $")
+        fig.text(0, 0, r"$\nonsense{$")
     assert to_png(fig).startswith(b"\x89PNG")
 
 

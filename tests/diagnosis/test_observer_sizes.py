@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.plots.residuals import plot_residuals
 
 PLANT = jb.LinearSystem(
     [["0.9", "0.05"], [0, "0.9"]],
@@ -106,11 +105,6 @@ def test_verbs_that_need_windows_say_so(watch):
     res = jb.detect(watch, u, y + [20, -3])
     for work, kind, says in (
         (lambda: jb.margins(watch, u, y), NotImplementedError, "margins are those of windows"),
-        (
-            lambda: plot_residuals(res),
-            TypeError,
-            r"plot\(res\.observation, y=res\.y\) draws an observer's bands",
-        ),
         (
             lambda: jb.detect(watch, u, y, method="box"),
             ValueError,

@@ -21,6 +21,11 @@ def seen(fault, margin=None, first=0):
     return Seen.of(fault, np.asarray(margin, float), np.zeros(len(fault), bool), instant=instant)
 
 
+def of(suspects):
+    """Return what a Watch asks for suspects, from {sample: suspect}."""
+    return lambda k, test: suspects[k]
+
+
 def flags(pattern):
     return np.array([c != "." for c in pattern])
 
@@ -90,7 +95,7 @@ def test_when_an_alarm_is_known_to_be_over_does_not_depend_on_the_pieces(rng):
         rule = AlarmRule(1, 1, 0, 2, int(rng.integers(0, 6)), latch=bool(rng.random() < 0.5), suspects=True)
         told = []
         for pieces in (cut(rng, fault, fault - 0.5), [seen([x], [x - 0.5]) for x in fault]):
-            _, events = alarms(Watch(rule, blames.__getitem__), pieces)
+            _, events = alarms(Watch(rule, of(blames)), pieces)
             told.append([(e.sample, e.kind, e.number, e.kind == ENDS and e.alarm.end) for e in events])
             told[-1] += [e.alarm.ended for e in events]
         assert told[0] == told[1]
@@ -98,19 +103,19 @@ def test_when_an_alarm_is_known_to_be_over_does_not_depend_on_the_pieces(rng):
 
 def test_alarms_of_different_suspects_overlap_and_are_two():
     blame = {2: UP, 6: OTHER, 10: UP}
-    found, _ = alarms(Watch(AlarmRule(merge=9), blame.__getitem__), [seen(flags("..FF..F...F....."))])
+    found, _ = alarms(Watch(AlarmRule(merge=9), of(blame)), [seen(flags("..FF..F...F....."))])
     spans = [(a.start, a.end, a.suspect.first, a.windows) for a in found]
     assert spans == [(2, 10, "T1", 3), (6, 6, "T2", 1)]
 
 
 def test_a_latched_alarm_lasts_to_the_end_where_nothing_speaks_for_a_repair():
-    (alarm,), _ = alarms(Watch(AlarmRule(latch=True), lambda k: UP), [seen(flags("..F...F....."))])
+    (alarm,), _ = alarms(Watch(AlarmRule(latch=True), lambda k, test: UP), [seen(flags("..F...F....."))])
     assert (alarm.start, alarm.end, alarm.windows, alarm.ended) == (2, 11, 2, LASTING)
 
 
 def test_an_opposite_jump_of_the_same_signal_and_size_ends_a_latched_alarm():
     blame = {2: UP, 6: DOWN, 9: UP}
-    found, events = alarms(Watch(AlarmRule(latch=True), blame.__getitem__), [seen(flags("..F...F..F.."))])
+    found, events = alarms(Watch(AlarmRule(latch=True), of(blame)), [seen(flags("..F...F..F.."))])
     assert [(a.start, a.end, a.ended) for a in found] == [(2, 6, f"{OPPOSITE} of T1"), (9, 11, LASTING)]
     assert [(e.sample, e.kind) for e in events] == [(2, BEGINS), (7, ENDS), (9, BEGINS), (11, ENDS)]
 
@@ -120,26 +125,26 @@ def test_an_opposite_jump_of_the_same_signal_and_size_ends_a_latched_alarm():
 )
 def test_no_other_jump_ends_a_latched_alarm(second):
     blame = {2: UP, 6: second}
-    found, _ = alarms(Watch(AlarmRule(latch=True), blame.__getitem__), [seen(flags("..F...F....."))])
+    found, _ = alarms(Watch(AlarmRule(latch=True), of(blame)), [seen(flags("..F...F....."))])
     assert found[0].ended == LASTING and found[0].end == 11
 
 
 def test_a_jump_and_its_end_in_one_stretch_end_the_alarm():
     blame = {2: UP, 5: DOWN}
-    (alarm,), _ = alarms(Watch(AlarmRule(latch=True), blame.__getitem__), [seen(flags("..FFFF......"))])
+    (alarm,), _ = alarms(Watch(AlarmRule(latch=True), of(blame)), [seen(flags("..FFFF......"))])
     assert (alarm.end, alarm.ended) == (5, f"{OPPOSITE} of T1")
 
 
 def test_suspects_are_asked_for_at_the_first_and_last_fault_alone():
     asked = []
-    watch = Watch(AlarmRule(latch=True), lambda k: asked.append(k) or UP)
+    watch = Watch(AlarmRule(latch=True), lambda k, test: asked.append(k) or UP)
     watch.add(seen(np.ones(1000, bool)))
     watch.add(seen(np.zeros(9, bool)))
     assert asked == [0, 999]
 
 
 def test_pending_alarms_are_told_as_if_the_recording_ended_and_go_on():
-    watch = Watch(AlarmRule(latch=True), lambda k: UP)
+    watch = Watch(AlarmRule(latch=True), lambda k, test: UP)
     watch.add(seen(flags("..F..")))
     assert [(alarm.end, alarm.ended) for alarm in watch.pending()] == [(4, LASTING)]
     watch.add(seen(flags("...")))
@@ -186,7 +191,7 @@ def test_acknowledgements_end_latched_alarms_and_what_is_proved_behind_them_make
 def test_a_late_acknowledgement_ends_the_alarms_that_had_begun_by_then_and_no_other(tmp_path):
     file = tmp_path / "seen.txt"
     file.write_text("# time, who\n")
-    watch = Watch(AlarmRule(latch=True, acknowledged=file), {2: UP, 6: OTHER}.__getitem__)
+    watch = Watch(AlarmRule(latch=True, acknowledged=file), of({2: UP, 6: OTHER}))
     watch.add(seen(flags("..F...F.")))
     with file.open("a") as operator:
         operator.write("5, J. Smith\n5")
@@ -200,5 +205,5 @@ def test_a_late_acknowledgement_ends_the_alarms_that_had_begun_by_then_and_no_ot
 def test_an_acknowledgement_in_a_stretch_takes_the_jump_back_in_it_for_the_end():
     blame = {2: UP, 4: DOWN, 5: DOWN}
     rule = AlarmRule(latch=True, acknowledged=[4])
-    found, _ = alarms(Watch(rule, blame.__getitem__), [seen(flags("..FFFF.."))])
+    found, _ = alarms(Watch(rule, of(blame)), [seen(flags("..FFFF.."))])
     assert [(a.start, a.end, a.ended) for a in found] == [(2, 4, f"{OPPOSITE} of T1"), (5, 7, LASTING)]

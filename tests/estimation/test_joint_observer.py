@@ -39,9 +39,7 @@ def test_it_proves_what_programs_over_all_samples_refute_and_nothing_else():
 
 @pytest.mark.parametrize("plant", [8, 3, 0, 1, 2])
 def test_the_state_of_fault_free_recordings_is_inside_and_nothing_is_a_fault(rng, plant):
-    """An unstable plant in float64 at its vertices, a stable one in float32 with x64 off, a stable one in float64,
-    an integrating one in float32, an unstable one within.
-    """
+    """Unstable, stable and integrating plants, in float64 at their vertices, in float32 with x64 off."""
     assert fault_free(rng, [plant], 24, 30, **JOINT) == 24 * 30
 
 

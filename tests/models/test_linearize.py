@@ -204,7 +204,7 @@ def test_a_curved_output_widens_the_noise():
         ({"dt": 0}, "positive dt"),
         ({"x0": [1.0]}, "one number for each of the 1 states"),
         ({"offset": {"u": 0}}, "itself finds offset"),
-        ({"parameters": {"k": 3}}, "its lowest and its highest value"),
+        ({"parameters": {"k": 3}}, "the lowest and the highest"),
         ({"states": ["a"]}, "states needs 2 names"),
     ],
 )

@@ -232,7 +232,7 @@ class TestReading:
         (
             'name = "pump"',
             'name = "pump"\nrange = [3, 2]',
-            "the range of 'pump' needs its lowest number first: 3 is above 2",
+            r"the range of 'pump' needs lo <= hi, not \[3, 2\]",
         ),
         ("C = [[1]]", "C = [[1]]\nH = [[1]]", r"\[matrices\] has the unknown field 'H'"),
         ("C = [[1]]", "C = [[1]]\nG = [[1]]", r"a disturbance needs both G .* the blocks are missing"),

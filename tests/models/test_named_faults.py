@@ -59,7 +59,7 @@ def test_states_may_be_a_list_of_names(tmp_path):
         ('input = "heat"\nmost = -1', "most of fault 'x' must be >= 0"),
         ('input = "heat"\nkind = "gain"\ntimes = "heat"', "a gain multiplies its own signal"),
         ('output = "T"\nbetween = [0, 1]', "between of fault 'x' is of an actuator: give it with input"),
-        ('input = "heat"\nbetween = [1, 0]', "between of fault 'x' needs lo <= hi, not 1 and 0"),
+        ('input = "heat"\nbetween = [1, 0]', "between of fault 'x' needs lo <= hi, not [1, 0]"),
         ("A = [[1]]", "fault 'x' needs most > 0: sizes of a parameter are searched up to it"),
         ("B = [[1]]\nmost = 1", "fault 'x': a parameter acts in A or C"),
         ("A = [[0]]\nmost = 1", "A of fault 'x' is 0: leave it out"),

@@ -13,7 +13,7 @@ import jaxbound as jb
 from jaxbound.plots.canvas import to_png
 from jaxbound.plots.figures import figure_1, figure_2
 from jaxbound.plots.plot import plot
-from jaxbound.plots.residuals import distinct_relations, plot_residuals
+from jaxbound.reports.parts import distinct_relations
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +43,7 @@ class TestPlot:
     def test_dates(self):
         res = synthetic([MISSING] + [CONSISTENT] * 20 + [FAULT] * 5 + [CONSISTENT] * 25)
         days = np.datetime64("2017-09-12") + np.arange(51) * np.timedelta64(1, "h")
-        for draw in (plot, plot_residuals):
-            assert to_png(draw(res, days))[:4] == b"\x89PNG"
+        assert to_png(plot(res, days))[:4] == b"\x89PNG"
 
     def test_a_single_fault_in_a_million_is_drawn(self):
         status = np.full(1_000_000, CONSISTENT, np.int8)
@@ -58,19 +57,6 @@ class TestPlot:
         )
         assert min(x.get_ydata().min() for x in fig.axes[0].lines if len(x.get_ydata()) == 1200) == -1
 
-    def test_thinned_residuals_keep_the_worst_window(self, rng):
-        model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
-        y = np.zeros((20_000, 1))
-        y[12_345] = 7.0
-        res = jb.detect(jb.parity_relations(model), np.zeros((20_000, 1)), y)
-        ax = plot_residuals(res).axes[0]
-        share = next(
-            x.get_ydata()
-            for x in ax.lines
-            if len(x.get_ydata()) == 1200 and x.get_label().startswith("share")
-        )
-        assert abs(share.max() - (1 - np.nanmin(res.margin))) < 1e-6  # one relation: its share is the gauge
-
     @pytest.mark.parametrize("worst", [-3.0, -50.0, -1e6, -1e15, -np.inf])
     def test_a_huge_excursion_does_not_flatten_the_rest(self, worst):
         status, margin = np.full(200, CONSISTENT), np.full(200, 0.5)
@@ -79,25 +65,10 @@ class TestPlot:
         low, high = (ax.transData.transform((0, y))[1] for y in (0.0, 1.0))
         assert (high - low) / ax.bbox.height > 0.08  # the healthy band keeps its share of the picture
 
-    def test_a_huge_residual_does_not_flatten_the_rest(self):
-        model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)
-        y = np.zeros((200, 1))
-        y[100] = 1e9
-        ax = plot_residuals(jb.detect(jb.parity_relations(model), np.zeros((200, 1)), y)).axes[0]
-        assert ax.get_ylim()[1] < 10 and any("beyond the axis" in t.get_text() for t in ax.texts)
-
-    def test_residuals_show_what_relations_compute(self, run):
-        res = run[0]
-        external, envelope = res.relations.external(res.u, res.y), res.relations.internal(res.u, res.y)
-        for j, ax in enumerate(plot_residuals(res).axes):
-            np.testing.assert_allclose(ax.lines[2].get_ydata(), external[:, j])
-            np.testing.assert_allclose(ax.lines[0].get_ydata(), envelope.lo[:, j])
-            np.testing.assert_allclose(ax.lines[1].get_ydata(), envelope.hi[:, j])
-
     def test_verdicts_without_margins_and_all_missing(self):
         for status in ([MISSING] + [FAULT] * 9 + [UNDECIDED] * 10, [MISSING] * 20):
             res = synthetic(status, np.full(20, np.nan))
-            assert to_png(plot(res)) and to_png(plot_residuals(res))
+            assert to_png(plot(res))
 
     def test_shifted_copies_are_drawn_once(self):
         r = jb.parity_relations(paper(), 4)
@@ -117,11 +88,19 @@ class TestPlot:
     def test_batches_and_wrong_times_are_refused(self, run):
         r = run[0].relations
         batch = jb.detect(r, np.zeros((2, 9, 1)), np.zeros((2, 9, 2)))
-        for draw in (plot, plot_residuals):
-            with pytest.raises(ValueError, match="a plot shows one recording"):
-                draw(batch)
-            with pytest.raises(ValueError, match="time needs one entry for each of the 300 samples"):
-                draw(run[0], np.arange(5))
+        with pytest.raises(ValueError, match="a plot shows one recording"):
+            plot(batch)
+        with pytest.raises(ValueError, match="time needs one entry for each of the 300 samples"):
+            plot(run[0], np.arange(5))
+
+    def test_a_name_with_dollar_signs_is_no_formula_in_axes_of_ones_own(self):
+        import matplotlib.pyplot as plt
+
+        model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, name=r"$\nonsense{$")
+        fig, ax = plt.subplots()
+        plot(jb.detect(jb.parity_relations(model), np.zeros((9, 1)), np.zeros((9, 1))), ax=ax)
+        assert to_png(fig)
+        plt.close(fig)
 
     def test_no_global_state_is_touched(self, run):
         import matplotlib

@@ -146,6 +146,9 @@ def test_a_time_of_day_needs_dates(tmp_path, kind):
 def test_a_reading_of_a_generator_does_not_know_the_start():
     with pytest.raises(ValueError, match="time_since_start is of a file or a pipe"):
         jb.read(iter([frame()[0]]), MODEL)
+    aging = jb.LinearSystem([[0.5]], [[1]], [[1]], dt=60, noise=0.1, times={"y1": "1 + time_since_start"})
+    with pytest.raises(ValueError, match="time_since_start is of a file or a pipe"):
+        jb.read(iter([frame()[0]]), aging)
 
 
 def test_means_are_of_what_the_clock_said_at_each_sample(tmp_path):

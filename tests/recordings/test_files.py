@@ -11,7 +11,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.recordings.recording import Recording
-from jaxbound.runs.verdictfiles import write_alarms, write_verdicts
+from jaxbound.runs.verdictfiles import AlarmColumns, write_alarms, write_verdicts
 
 MODEL = jb.LinearSystem([[0.5]], [[1]], [[1]], dt=0.5, noise=0.1, resolution=1)
 TWO = jb.LinearSystem(
@@ -498,7 +498,9 @@ class TestWriting:
 
     def test_alarms(self, tmp_path):
         res, u, y = self.result()
-        write_alarms(tmp_path / "a.csv", res.alarms(), Recording(u, y, time=0.5 * np.arange(400)), 0.5)
+        write_alarms(
+            tmp_path / "a.csv", res.alarms(), Recording(u, y, time=0.5 * np.arange(400)), AlarmColumns(0.5)
+        )
         header, *rows = (line.split(",") for line in (tmp_path / "a.csv").read_text().splitlines())
         first = dict(zip(header, rows[0], strict=True))
         a = res.alarms()[0]
@@ -514,7 +516,10 @@ class TestWriting:
 
     def test_no_alarms_is_a_header(self, tmp_path):
         write_alarms(
-            tmp_path / "a.csv", [], Recording(np.zeros((4, 0)), np.zeros((4, 1)), time=np.arange(4.0)), 1
+            tmp_path / "a.csv",
+            [],
+            Recording(np.zeros((4, 0)), np.zeros((4, 1)), time=np.arange(4.0)),
+            AlarmColumns(1),
         )
         header = "start,end,duration_s,first_sample,last_sample,windows,depth,factor,worst,ended"
         assert (tmp_path / "a.csv").read_text().splitlines() == [header]

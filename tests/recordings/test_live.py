@@ -209,7 +209,9 @@ def test_a_generator_that_fails_says_so_and_what_came_before_is_kept(place):
         yield {"time": [1.0], "nothing": [1.0]}
 
     with pytest.raises(Refused, match="'y1'"):
-        pipe.judge_stream("model.toml", pipe_of(broken()), data="plant.py:readings", out=place / "out")
+        pipe.judge_stream(
+            pipe.LiveRun("model.toml", data="plant.py:readings", out=place / "out"), pipe_of(broken())
+        )
     assert rows((place / "out/verdicts.csv").read_text()) == ["MISSING"]
 
 
@@ -248,13 +250,13 @@ class TestWithoutPosix:
 
     def test_verdicts_are_the_same(self, place, monkeypatch, capsysbinary):
         text = b"time,y1\n" + b"".join(f"{k},{0.5**k + (k >= 20)}\n".encode() for k in range(T))
-        pipe.judge_stream("model.toml", [text], out=place / "a")
+        pipe.judge_stream(pipe.LiveRun("model.toml", out=place / "a"), [text])
         monkeypatch.setattr(signals, "CAN_WAIT", False)
         reading, writing = os.pipe()
         os.write(writing, text)
         os.close(writing)
         with signals.ends() as end:
-            pipe.judge_stream("model.toml", signals.arrivals(reading, end), out=place / "b")
+            pipe.judge_stream(pipe.LiveRun("model.toml", out=place / "b"), signals.arrivals(reading, end))
         os.close(reading)
         assert (place / "a/verdicts.csv").read_bytes() == (place / "b/verdicts.csv").read_bytes()
         assert io.BytesIO(capsysbinary.readouterr().out).readline() == b"time,status,margin\n"

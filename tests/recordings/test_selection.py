@@ -384,3 +384,14 @@ def test_a_signal_may_be_a_condition_on_text(tmp_path, suffix):
         pq.write_table(pa.table(columns), path)
     (run,) = read_signals(path, [("heating", "= mode == 'heat'")], ["level"], dt=1.0)
     np.testing.assert_array_equal(run.u[:, 0], [1, 0, np.nan, 1])
+
+
+def test_an_expression_over_a_column_that_is_called_like_its_signal_is_that_of_the_file(tmp_path):
+    import pandas as pd
+
+    table = pd.DataFrame({"time": [0.0, 1.0, 2.0], "y1": [1.0, 2.0, 4.0]})
+    table.to_csv(tmp_path / "run.csv", index=False)
+    model = jb.LinearSystem([[0.5]], None, [[1]], dt=1, noise=0.1, columns={"y1": "= y1 - 273"})
+    for given in (table, tmp_path / "run.csv"):
+        run = jb.Recording.of(model, given) if given is table else jb.read(given, model)
+        assert run.y.ravel().tolist() == [-272, -271, -269]

@@ -196,14 +196,16 @@ def test_instants_are_those_of_single_times_in_files_tables_parquet_pipes_and_re
     pieces = [pipe.take(("time,y1\n" + "".join(lines[:2])).encode())]
     pipe = PipeText(model, lambda kind, sentence: None, pipe.memory())
     pieces.append(pipe.take("".join(lines[2:]).encode()))
-    readings = Readings(model, [table.iloc[:2].reset_index(), table.iloc[2:].reset_index()])
+    readings = Readings(model, [table.iloc[k : k + 1].reset_index() for k in range(6)])
+    pieces_read = [piece for _, piece in readings.pieces(readings.raw)]
     found = {
         "file": whole.instants,
         "index": instants_of(whole.index, 6, 60.0),
         "table": instants_of(Recording.of(model, table).index, 6, 60.0),
         "parquet": np.concatenate([parts.read(0, 3).instants, parts.read(3, 6).instants]),
         "pipe": np.concatenate([piece.instants for piece in pieces]),
-        "readings": np.concatenate([piece.instants for _, piece in readings.pieces(readings.raw)]),
+        "readings": np.concatenate([piece.instants for piece in pieces_read]),
     }
+    assert not any(len(piece.starts) for piece in pieces_read)
     for where, instants in found.items():
         assert instants.tolist() == expected, where

@@ -28,7 +28,7 @@ STYLE = (Path(reports.__file__).parent / "style.css").read_text()
 
 
 def page_of(folder, res, recording, alarms):
-    write_report(folder, res, recording, alarms, summarised(res, alarms, recording.label))
+    write_report(folder / "report.html", res, recording, alarms, summarised(res, alarms, recording.label))
     return (folder / "report.html").read_text()
 
 

@@ -18,11 +18,11 @@ from page_case import foreign
 
 import jaxbound as jb
 from jaxbound import reports
-from jaxbound.cli.validation import Validated
 from jaxbound.reports import page
 from jaxbound.reports.detection import write_report
 from jaxbound.reports.fleet import fleet_page
 from jaxbound.reports.study import study_page
+from jaxbound.reports.validated import Validated
 from jaxbound.reports.validation import write_page
 from jaxbound.runs.fleet import Unit, UnitResult
 from jaxbound.runs.summary import Evidence, Summary, Window, summarised
@@ -74,7 +74,7 @@ def detection(folder):
     extra = [(evil("title"), PNG, evil("caption"), table), (evil("other"), None, evil("text"), None)]
     run, alarms = recorded(30), res.alarms()
     found = summarised(res, alarms, run.label, hints=[evil("hint")], sizes={evil("y"): 1.0})
-    write_report(folder, res, run, alarms, found, seconds={evil("stage"): 1.0}, extra=extra)
+    write_report(folder / "report.html", res, run, alarms, found, seconds={evil("stage"): 1.0}, extra=extra)
     return (folder / "report.html").read_text()
 
 
@@ -82,7 +82,7 @@ def uncertain(folder):
     parameter = jb.Uncertainty(evil("parameter"), A=[[0.05]])
     m = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, name=evil("model"), uncertainties=[parameter])
     res = jb.detect(jb.parity_relations(m, 1), np.zeros((9, 1)), np.zeros((9, 1)))
-    write_report(folder, res, recorded(9), [], summarised(res, [], recorded(9).label))
+    write_report(folder / "report.html", res, recorded(9), [], summarised(res, [], recorded(9).label))
     return (folder / "report.html").read_text()
 
 
@@ -93,7 +93,7 @@ def validation(folder):
     found = jb.Validation(band, band, band, faulty, band, status)
     res = Validated(jb.LinearSystem(**MODEL), 1, np.zeros((9, 1)), found)
     said = summarised(res, res.alarms(), recorded(9).label, hints=[evil("hint")])
-    write_page(folder, res, recorded(9), said, seconds={evil("stage"): 1.0})
+    write_page(folder / "report.html", res, recorded(9), said, seconds={evil("stage"): 1.0})
     return (folder / "report.html").read_text()
 
 

@@ -48,13 +48,15 @@ def test_the_overview_has_the_signals_that_one_of_a_whole_recording_has(found, c
     "margins, about", [("exact", "the tightest window"), ("bounds", "the window with the lowest bound")]
 )
 def test_the_page_does_not_call_a_window_the_tightest_by_bounds(found, margins, about):
-    healthy = replace(found[0], margins=margins, counts=found[0].counts | {"FAULT": 0})
+    counts = found[0].counts | {"FAULT": 0}
+    numbers = replace(found[0].found, margins=margins, bounded=margins == "bounds", counts=counts)
+    healthy = replace(found[0], found=numbers)
     assert charts(healthy, healthy, [], [], {}, 100).about == about
 
 
 @pytest.mark.parametrize("margins, words", [("exact", ""), ("bounds", ", above 0 a lower bound")])
 def test_a_picture_of_bounds_says_so_in_its_title(found, margins, words):
-    figure = plot(replace(found[0], margins=margins))
+    figure = plot(replace(found[0], found=replace(found[0].found, margins=margins)))
     titles = [figure.axes[0].get_title(at) for at in ("left", "center", "right")]
     name = found[0].relations.model.name
     assert any(title.split("   ")[0] == f"Margin of {name}{words}" for title in titles)

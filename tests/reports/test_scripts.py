@@ -354,7 +354,7 @@ def test_a_study_draws_its_shares(tmp_path):
 
 def test_a_validation_draws_bands_faulty_samples_and_what_replaces_them(tmp_path):
     res = found_in()
-    write_page(tmp_path, res, validated(res), summarised(res, res.alarms(), "{} s".format))
+    write_page(tmp_path / "report.html", res, validated(res), summarised(res, res.alarms(), "{} s".format))
     deeds = """
       const c = chart("overview", "y0"), there = (k) => c.data[0].filter((t, i) => c.data[k][i] !== null);
       note([5, 6].map(there)); note(c.data[1].some((v) => v !== null));

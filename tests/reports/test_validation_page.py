@@ -25,11 +25,10 @@ def test_dates_on_its_axes_are_written_as_in_the_recording():
 
 def test_it_shows_each_output_and_each_stretch(tmp_path):
     res = found_in()
-    names = write_page(
-        tmp_path, res, recording_of(res), summarised(res, res.alarms(), "{} s".format, hints=["a `hint`"])
-    )
+    said = summarised(res, res.alarms(), "{} s".format, hints=["a `hint`"])
+    write_page(tmp_path / "report.html", res, recording_of(res), said)
     page = (tmp_path / "report.html").read_text()
-    assert names == ["report.html"] and page.count('"kind": "enclosed"') == 2 and "two &amp; two" in page
+    assert page.count('"kind": "enclosed"') == 2 and "two &amp; two" in page
     assert '<noscript><img alt="measured outputs' in page
     assert re.search(">y1<.*>20 s<.*>22 s<.*>3 s<.*>3<.*>4 bar<.*>0.75 to 1.25 bar<", page)
     assert "UNDECIDED (not refuted)" in page, "what a healthy sample is"
@@ -61,7 +60,9 @@ def test_from_the_first_fault_on_the_page_says_what_its_bands_still_mean(tmp_pat
     """A fault that lasts may be accepted again: the band is then no place of the true value."""
     for faulty in ((20, 21), ()):
         res = found_in(faulty=faulty)
-        write_page(tmp_path, res, recording_of(res), summarised(res, res.alarms(), "{} s".format))
+        write_page(
+            tmp_path / "report.html", res, recording_of(res), summarised(res, res.alarms(), "{} s".format)
+        )
         page = " ".join((tmp_path / "report.html").read_text().split())
         assert page.count("From 20 s on, the first FAULT, the true value is there only if") == (
             1 if faulty else 0

@@ -45,7 +45,7 @@ class TestSameBytes:
         found = detect_dataset(r, folder, tmp_path, merge=True)
         assert parts_of(tmp_path / "verdicts.parquet") == parts_of(one[0] / "verdicts.parquet")
         assert {p.name for p in tmp_path.iterdir()} == {"verdicts.parquet", ".jaxbound.json"}
-        for name in ("counts", "worst", "hints", "alarm_count", "alarms", "ended", "samples"):
+        for name in ("counts", "worst", "hints", "alarm_count", "alarms", "ended", "found"):
             assert getattr(found, name) == getattr(one[1], name), name
 
     def test_in_any_order(self, case, one, tmp_path):

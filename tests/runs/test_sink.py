@@ -58,7 +58,7 @@ def test_a_new_output_is_one_small_class(place, plain, options):
 def test_a_pipe_writes_a_new_output_where_it_ends(place, plain):
     head, *rows = (place / "run.csv").read_bytes().splitlines(True)
     for part, samples in ((rows[:5], 5), (rows[5:], 8)):  # the second process goes on behind the first
-        assert pipe.judge_stream("model.toml", [head, *part], out=Path("out")) == 1
+        assert pipe.judge_stream(pipe.LiveRun("model.toml", out=Path("out")), [head, *part]) == 1
         found = json.loads((place / "out/summary.json").read_text())
         assert sum(found["counts"].values()) == found["samples"] == samples and found["worst"]["sample"] == 3
     assert "summary.json" in (place / "out/.jaxbound.json").read_text()

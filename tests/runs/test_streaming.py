@@ -25,7 +25,7 @@ from jaxbound.runs.partnotes import read_runs
 from jaxbound.runs.parts import part_files
 from jaxbound.runs.streaming import Asked, publish, write_parts
 from jaxbound.runs.summary import evidence
-from jaxbound.runs.verdictfiles import write_alarms
+from jaxbound.runs.verdictfiles import AlarmColumns, write_alarms
 
 pytestmark = pytest.mark.compiled
 
@@ -148,7 +148,7 @@ class TestDigest:
             alarms_csv=tmp_path / "streamed.csv",
         )
         alarms = whole.alarms(k, n)
-        write_alarms(tmp_path / "whole.csv", alarms, rec, r.model.dt)
+        write_alarms(tmp_path / "whole.csv", alarms, rec, AlarmColumns(r.model.dt))
         assert (tmp_path / "streamed.csv").read_text() == (tmp_path / "whole.csv").read_text()
         assert (
             found.alarm_count == len(alarms)

@@ -8,7 +8,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.cli import evaluation, main, validation
-from jaxbound.cli.pipe import judge_stream
+from jaxbound.cli.pipe import LiveRun, judge_stream
 from jaxbound.runs.summary import LAYOUT, Evidence, Summary, evidence, said, summarised
 
 T = 40
@@ -111,7 +111,7 @@ def test_files_parquet_and_fleets_end_the_same_alarm_by_an_acknowledgement(place
 
 def test_the_pipe_says_what_detect_says(place, capsys):
     _, whole = shell(capsys, "detect", "m.toml", "run.csv")
-    assert judge_stream("m.toml", [(place / "run.csv").read_bytes()]) == 1
+    assert judge_stream(LiveRun("m.toml"), [(place / "run.csv").read_bytes()]) == 1
     assert whole["summary"] in " ".join(capsys.readouterr().err.split())
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 __all__ = ["MOVED"]
 
+
 Function = Callable[..., Any]
 
 MOVED: dict[str, Callable[[dict], Function]] = {}
@@ -57,30 +58,17 @@ def _broadcast(params):
     return broadcast
 
 
-@_entry("reshape")
-def _reshaped(params):
-    shape = params["new_sizes"]
-    return lambda x: x.reshape(shape)
+def _with(function: Function, parameter: str) -> Callable[[dict], Function]:
+    """Return an entry for a function of an array and one parameter."""
+    return lambda params: lambda x: function(x, params[parameter])
 
 
-@_entry("squeeze")
-def _squeezed(params):
-    return lambda x: x.squeeze(tuple(params["dimensions"]))
-
-
-@_entry("expand_dims")
-def _expanded(params):
-    return lambda x: np.expand_dims(x, tuple(params["dimensions"]))
-
-
-@_entry("transpose")
-def _transposed(params):
-    return lambda x: x.transpose(params["permutation"])
-
-
-@_entry("rev")
-def _reversed(params):
-    return lambda x: np.flip(x, params["dimensions"])
+MOVED["reshape"] = _with(np.reshape, "new_sizes")
+MOVED["squeeze"] = _with(np.squeeze, "dimensions")
+MOVED["expand_dims"] = _with(np.expand_dims, "dimensions")
+MOVED["transpose"] = _with(np.transpose, "permutation")
+MOVED["rev"] = _with(np.flip, "dimensions")
+MOVED["tile"] = _with(np.tile, "reps")
 
 
 @_entry("concatenate")
@@ -96,11 +84,6 @@ def _stacked(params):
 @_entry("unstack")
 def _unstacked(params):
     return lambda x: list(np.moveaxis(x, params["axis"], 0))
-
-
-@_entry("tile")
-def _tiled(params):
-    return lambda x: np.tile(x, params["reps"])
 
 
 @_entry("split")

@@ -15,6 +15,7 @@ import numpy as np
 
 __all__ = ["COMPUTED"]
 
+
 Function = Callable[..., Any]
 
 COMPUTED: dict[str, Callable[[dict], Function]] = {}
@@ -78,44 +79,31 @@ def _bits_set(x):
     return np.bitwise_count(x.view(f"u{x.dtype.itemsize}")).astype(x.dtype)
 
 
+SAME = (
+    "add cbrt ceil conj cos cosh exp exp2 expm1 floor imag log log1p nextafter real sign sin sinh sqrt "
+    "square tan tanh"
+)
+"""Primitives that have the name of their function of NumPy."""
+_plain(**{name: getattr(np, name) for name in SAME.split()})
 _plain(
-    add=np.add,
     add_any=np.add,
     sub=np.subtract,
     mul=np.multiply,
     div=_quotient,
     rem=np.fmod,
     neg=np.negative,
-    sign=np.sign,
     abs=np.absolute,
     max=np.maximum,
     min=np.minimum,
-    floor=np.floor,
-    ceil=np.ceil,
-    sqrt=np.sqrt,
     rsqrt=_reciprocal_root,
-    cbrt=np.cbrt,
-    square=np.square,
-    exp=np.exp,
-    exp2=np.exp2,
-    expm1=np.expm1,
-    log=np.log,
-    log1p=np.log1p,
-    sin=np.sin,
-    cos=np.cos,
-    tan=np.tan,
     asin=np.arcsin,
     acos=np.arccos,
     atan=np.arctan,
     atan2=np.arctan2,
-    sinh=np.sinh,
-    cosh=np.cosh,
-    tanh=np.tanh,
     asinh=np.arcsinh,
     acosh=np.arccosh,
     atanh=np.arctanh,
     pow=np.power,
-    nextafter=np.nextafter,
     logistic=_logistic,
     is_finite=np.isfinite,
     eq=np.equal,
@@ -129,19 +117,13 @@ _plain(
     shift_right_logical=_shifted_right,
     shift_right_arithmetic=np.right_shift,
     population_count=_bits_set,
-    real=np.real,
-    imag=np.imag,
-    conj=np.conj,
     copy=_identity,
     copy_p=_identity,
     stop_gradient=_identity,
     optimization_barrier=_several,
     device_put=_several,
 )
-COMPUTED["and"] = partial(_ignoring, np.bitwise_and)
-COMPUTED["or"] = partial(_ignoring, np.bitwise_or)
-COMPUTED["xor"] = partial(_ignoring, np.bitwise_xor)
-COMPUTED["not"] = partial(_ignoring, np.invert)
+_plain(**{"and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert})
 
 
 @_entry("clamp")

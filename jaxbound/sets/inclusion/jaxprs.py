@@ -19,11 +19,12 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.equations import bind, body, by_key, dtype_of, inexact, inside
 from jaxbound.sets.inclusion.lifted import enclose, settled
 from jaxbound.sets.inclusion.predicates import least, most, whole
-from jaxbound.sets.inclusion.primitives import CONTINUOUS, MOVED, RISING, RULES, WHOLE
+from jaxbound.sets.inclusion.primitives import DEFINED, MOVED, RISING, RULES, STEADY, WHOLE
 from jaxbound.sets.inclusion.undefined import OBSERVED, either, observes, possible
 from jaxbound.sets.intervals.interval import Interval, computed
 
 __all__ = ["Value", "evaluate", "refuse_unsupported"]
+
 
 POINTWISE = {
     "abs",
@@ -74,9 +75,9 @@ def _door(x: Value) -> Value:
 def _follow(jaxpr, consts, args, absent):
     """Return (outs, absent, continuous).
 
-    absent: None, or a boolean array, True where the number may be NaN, for each of args and outs; what nobody
-    observes is left out of a program that is compiled. The bounds of args are settled, whatever a loop or a
-    branch made of them.
+    absent: None, or a boolean array (), True where a number of it may be NaN, for each of args and outs; what
+    nobody observes is left out of a program that is compiled. The bounds of args are settled, whatever a loop
+    or a branch made of them.
     """
     args = [_computed(x) if isinstance(x, Interval) else x for x in args]
     known = lambda x: (_constant(x), _absent(x))
@@ -95,13 +96,12 @@ def _follow(jaxpr, consts, args, absent):
 
 
 def _absent(x):
-    """Return a mask of the NaN in a constant, None if there is none."""
+    """Return whether a constant may hold NaN, None if it holds none."""
     if isinstance(x, Interval) or not jnp.issubdtype(x.dtype, jnp.floating):
         return None
     if isinstance(x, jax.core.Tracer):
-        return jnp.isnan(x)
-    host = np.isnan(np.asarray(x))
-    return jnp.asarray(host) if host.any() else None
+        return jnp.any(jnp.isnan(x))
+    return jnp.asarray(True) if np.isnan(np.asarray(x)).any() else None
 
 
 def refuse_unsupported(jaxpr: Jaxpr, name: str, advice: str) -> None:
@@ -160,7 +160,7 @@ def _apply(eqn, values, absent):
         )  # any bits: NaN, infinite and subnormal numbers too
         return (
             [settled(o) for o in outs] if made else outs,
-            [jnp.isnan(o) if made else None for o in outs],
+            [jnp.any(jnp.isnan(o)) if made else None for o in outs],
             True,
         )
     about = {**eqn.params, "bind": lambda *v: bind(eqn, *v)[0], "numbers": [_number(v) for v in values]}
@@ -189,13 +189,14 @@ def _apply(eqn, values, absent):
         )
     if name in OBSERVED and observes(eqn) and any(a is not None for a in absent):
         outs = [OBSERVED[name](enclose(outs[0]), sets, absent, **about)]
-    fine = jnp.all(CONTINUOUS[name](enclose(outs[0]), *sets, **about)) if name in CONTINUOUS else True
+    asked = [table[name] for table in (DEFINED, STEADY) if name in table]
+    doubt = either(*(~jnp.all(condition(enclose(outs[0]), *sets, **about)) for condition in asked))
     shown = [_computed(o) if isinstance(o, Interval) and not whole(o) else o for o in outs]
     found = [
         possible(name, enclose(o), sets, absent, about) if inexact(v.aval) else None
         for o, v in zip(outs, eqn.outvars, strict=True)
     ]
-    return shown, found, fine
+    return shown, found, True if doubt is None else ~doubt
 
 
 def _computed(x: Interval) -> Interval:
@@ -247,23 +248,20 @@ def _moved(eqn, values, absent):
     )
     outs = [Interval(*pair) for pair in zip(lower, upper, strict=True)]
     floating = [inexact(v.aval) for v in eqn.outvars]
-    filled = (
+    found = either(*(a for i, a in enumerate(absent) if i in moved))
+    if (
         eqn.primitive.name == "gather"
         and floating[0]
         and eqn.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
-    )
-    if filled:
+    ):
+        gone = [jnp.isnan(o.lo) for o in outs]
         outs = [
-            Interval(jnp.where(jnp.isnan(o.lo), jnp.inf, o.lo), jnp.where(jnp.isnan(o.hi), -jnp.inf, o.hi))
-            for o in outs
+            Interval(jnp.where(g, jnp.inf, o.lo), jnp.where(g, -jnp.inf, o.hi))
+            for o, g in zip(outs, gone, strict=True)
         ]
+        found = either(found, *map(jnp.any, gone))
     shown = [_computed(o) if f else o for o, f in zip(outs, floating, strict=True)]
-    if not filled and all(a is None for a in absent):
-        return shown, [None] * len(outs), True
-    mark = lambda v, a: jnp.zeros_like(v.lo) if a is None else jnp.broadcast_to(a, v.shape).astype(v.dtype)
-    marks = [mark(v, a) if i in moved else v for i, (v, a) in enumerate(zip(ready, absent, strict=True))]
-    found = [mark != 0 if f else None for mark, f in zip(bind(eqn, *marks), floating, strict=True)]
-    return shown, found, True
+    return shown, [found if f else None for f in floating], True
 
 
 def _as(value, kind):
@@ -284,10 +282,9 @@ def _steady(step, carry):
 
 
 def _marked(values, absent):
-    """Return a mask of possible NaN for each value of a loop's carry; None for values that are never NaN."""
-    shape = lambda v: v.lo.shape if isinstance(v, Interval) else v.shape
+    """Return the mark of each value of a loop's carry; None for values that are never NaN."""
     return [
-        jnp.broadcast_to(False if a is None else a, shape(v)) if inexact(v) else None
+        jnp.asarray(False if a is None else a) if inexact(v) else None
         for v, a in zip(values, absent, strict=True)
     ]
 
@@ -297,24 +294,21 @@ def _scan(values, absent, params):
         _split(v, *_counts(params)) for v in (values, absent)
     )
     inner, count = params["jaxpr"], len(carry)
-    one = lambda carry, x, away, gone: _follow(
-        inner.jaxpr, inner.consts, [*consts, *carry, *x], [*no_consts, *away, *gone]
+    one = lambda carry, x, away: _follow(
+        inner.jaxpr, inner.consts, [*consts, *carry, *x], [*no_consts, *away, *no_xs]
     )
-    gone = [None if a is None else jnp.broadcast_to(a, x.shape) for a, x in zip(no_xs, xs, strict=True)]
     first = jax.tree.map(lambda v: jnp.zeros(v.shape[1:], v.dtype), xs)
-    missing = jax.tree.map(lambda v: jnp.zeros(v.shape[1:], bool), gone)
-    steady = lambda carry: one(carry, first, _marked(carry, [None] * count), missing)[0][:count]
-    carry = _steady(steady, carry)
+    carry = _steady(lambda carry: one(carry, first, _marked(carry, [None] * count))[0][:count], carry)
 
     def step(state, x):
-        (carry, away), (x, gone) = state, x
-        outs, found, fine = one(carry, x, away, gone)
+        carry, away = state
+        outs, found, fine = one(carry, x, away)
         after = [_as(o, c) for o, c in zip(outs, carry, strict=False)], _marked(carry, found[:count])
         return after, (outs[count:], _marked(outs[count:], found[count:]), jnp.asarray(fine))
 
-    start, rows = (carry, _marked(carry, no_carry)), (xs, gone)
-    (carry, away), (ys, found, fine) = jax.lax.scan(step, start, rows, params["length"], params["reverse"])
-    return [*carry, *ys], [*away, *found], jnp.all(fine)
+    start = carry, _marked(carry, no_carry)
+    (carry, away), (ys, found, fine) = jax.lax.scan(step, start, xs, params["length"], params["reverse"])
+    return [*carry, *ys], [*away, *jax.tree.map(jnp.any, found)], jnp.all(fine)
 
 
 def _counts(params):
@@ -353,17 +347,10 @@ def _while(values, absent, params):
     away = _marked(carry, away)
 
     def turn(going, carry, away):
-        """Return the state after one more step of the entries that may go on."""
+        """Return the state after one more step of the entries that may go on; a mark stays."""
         outs, found, fine = step(carry, away)
         outs = [_where(going, _as(o, c), c) for o, c in zip(outs, carry, strict=True)]
-        return (
-            outs,
-            [
-                a if a is None else _where(going, f, a)
-                for f, a in zip(_marked(carry, found), away, strict=True)
-            ],
-            fine,
-        )
+        return outs, _also(away, _marked(carry, found)), fine
 
     if not isinstance(jax.eval_shape(test, carry, away), Interval):
 
@@ -378,35 +365,35 @@ def _while(values, absent, params):
     carry = [enclose(c) for c in carry]
     away = _marked(carry, away)
 
-    def gather(going, carry, away, ended, gone):
+    def stopped(going, carry, ended):
         """Add the states in which the loop may stop to those that were met before."""
-        ended = [_hull_where(~going.lo, c, e) for c, e in zip(carry, ended, strict=True)]
-        return ended, [
-            g if g is None else g | _where(going.lo, jnp.zeros_like(a), a)
-            for a, g in zip(away, gone, strict=True)
-        ]
+        return [_hull_where(~going.lo, c, e) for c, e in zip(carry, ended, strict=True)]
 
     def follow(state):
-        carry, away, ended, gone, fine, count = state
+        carry, away, ended, fine, count = state
         going = test(carry, away)
-        ended, gone = gather(going, carry, away, ended, gone)
+        ended = stopped(going, carry, ended)
         carry, away, continuous = turn(going.hi, carry, away)
-        return carry, away, ended, gone, fine & continuous & jnp.all(going.lo == going.hi), count + 1
+        return carry, away, ended, fine & continuous & jnp.all(going.lo == going.hi), count + 1
 
     nothing = [
         Interval(jnp.full_like(c.lo, most(c.dtype)), jnp.full_like(c.hi, least(c.dtype))) for c in carry
     ]
-    running = lambda state: jnp.any(test(*state[:2]).hi) & (state[5] < LOOPS)
-    start = carry, away, nothing, nowhere(carry), jnp.asarray(True), 0
-    carry, away, ended, gone, fine, _ = jax.lax.while_loop(running, follow, start)
+    running = lambda state: jnp.any(test(*state[:2]).hi) & (state[4] < LOOPS)
+    start = carry, away, nothing, jnp.asarray(True), 0
+    carry, away, ended, fine, _ = jax.lax.while_loop(running, follow, start)
     going = test(carry, away)
-    ended, gone = gather(going, carry, away, ended, gone)
+    ended = stopped(going, carry, ended)
     anything = [
         Interval(jnp.full_like(c.lo, least(c.dtype)), jnp.full_like(c.hi, most(c.dtype))) for c in carry
     ]
     ended = [_hull_where(going.hi, a, e) for a, e in zip(anything, ended, strict=True)]
-    gone = [g if g is None else g | _where(going.hi, jnp.ones_like(g), g) for g in gone]
-    return ended, gone, fine & ~jnp.any(going.hi)
+    return ended, _also(away, [jnp.any(going.hi)] * len(away)), fine & ~jnp.any(going.hi)
+
+
+def _also(marks, others):
+    """Return marks that are set where others are, too."""
+    return [None if m is None else m | other for m, other in zip(marks, others, strict=True)]
 
 
 def _where(chosen, x, y):

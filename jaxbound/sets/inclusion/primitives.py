@@ -6,8 +6,8 @@
 | RISING | max, floor, sort, ... | the same: increasing in every operand, exactly |
 | RULES | add, exp, dot_general, ... | outward-rounded operations of `interval` and `elementary` |
 | WHOLE | add, and, lt, ... | the same for integers and predicates that depend on an interval |
-| CONTINUOUS | sqrt, div, floor, ... | a condition on the operands under which the primitive is defined and
-continuous; others always are |
+| DEFINED | sqrt, div, ... | a condition on the operands under which the primitive is; others always are |
+| STEADY | floor, select_n, ... | a condition under which it has no jump |
 """
 
 import operator
@@ -16,36 +16,15 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from jaxbound.sets.inclusion.lifted import (
-    added,
-    angle,
-    contracted,
-    converted,
-    cube_root,
-    divided,
-    enclose,
-    expm1,
-    integral,
-    log1p,
-    logistic,
-    multiplied,
-    of,
-    poles,
-    power,
-    product,
-    remainder,
-    scanned,
-    scattered,
-    selected,
-    subtracted,
-    summed,
-)
+from jaxbound.sets.inclusion import lifted
+from jaxbound.sets.inclusion.lifted import enclose, integral, of, poles
 from jaxbound.sets.inclusion.predicates import Rule, comparison, equals, integers, negated, predicates, whole
 from jaxbound.sets.intervals import elementary
 from jaxbound.sets.intervals.interval import Interval, div, mul, neg, pown, recip, sqr
 from jaxbound.sets.intervals.interval import abs as absolute
 
-__all__ = ["CONTINUOUS", "MOVED", "RISING", "RULES", "WHOLE"]
+__all__ = ["DEFINED", "MOVED", "RISING", "RULES", "STEADY", "WHOLE"]
+
 
 MOVED: dict[str, tuple[int, ...] | None] = {  # the operands that are moved; all others are indices
     "broadcast_in_dim": (0,),
@@ -97,42 +76,42 @@ COMPARISONS: dict[str, Rule] = {
     "le_to": comparison(operator.le, False),
     "eq": equals,
     "ne": lambda x, y, **about: negated(enclose(equals(x, y, **about))),
-    "select_n": selected,
-    "convert_element_type": converted,
+    "select_n": lifted.selected,
+    "convert_element_type": lifted.converted,
 }
 
 RULES: dict[str, Rule] = COMPARISONS | {
-    "add": added,
-    "add_any": added,
-    "sub": subtracted,
-    "mul": multiplied,
+    "add": lifted.added,
+    "add_any": lifted.added,
+    "sub": lifted.subtracted,
+    "mul": lifted.multiplied,
     "neg": of(neg),
-    "div": divided,
-    "rem": remainder,
+    "div": lifted.divided,
+    "rem": lifted.remainder,
     "abs": of(absolute),
     "square": of(sqr),
     "integer_pow": lambda x, y, **_: pown(x, y),
-    "pow": power,
-    "cbrt": cube_root,
+    "pow": lifted.power,
+    "cbrt": lifted.cube_root,
     "rsqrt": lambda x, **_: recip(elementary.sqrt(x)),
-    "expm1": expm1,
-    "log1p": log1p,
-    "logistic": logistic,
-    "reduce_sum": summed,
-    "reduce_prod": product,
-    "cumsum": scanned(added),
-    "cumprod": scanned(mul),
-    "dot_general": contracted,
-    "scatter-add": scattered,
+    "expm1": lifted.expm1,
+    "log1p": lifted.log1p,
+    "logistic": lifted.logistic,
+    "reduce_sum": lifted.summed,
+    "reduce_prod": lifted.product,
+    "cumsum": lifted.scanned(lifted.added),
+    "cumprod": lifted.scanned(mul),
+    "dot_general": lifted.contracted,
+    "scatter-add": lifted.scattered,
     "is_finite": lambda x, **_: Interval(
         jnp.isfinite(x.lo) & jnp.isfinite(x.hi), (x.lo < jnp.inf) & (x.hi > -jnp.inf)
     ),
 }
-RULES |= {name: of(getattr(elementary, name)) for name in elementary.__all__} | {"atan2": angle}
+RULES |= {name: of(getattr(elementary, name)) for name in elementary.__all__} | {"atan2": lifted.angle}
 RULES |= {
     "log": poles(elementary.log, (0, -1)),
     "atanh": poles(elementary.atanh, (-1, -1), (1, 1)),
-    "log1p": poles(log1p, (-1, -1)),
+    "log1p": poles(lifted.log1p, (-1, -1)),
 }
 
 WHOLE: dict[str, Rule] = COMPARISONS | {
@@ -147,23 +126,27 @@ WHOLE: dict[str, Rule] = COMPARISONS | {
     "xor": lambda x, y, **_: negated(enclose(equals(negated(x), negated(y)))),
 }
 
-CONTINUOUS: dict[str, Callable[..., jax.Array]] = {
+DEFINED: dict[str, Callable[..., jax.Array]] = {
     "sqrt": lambda out, x, **_: x.lo >= 0,
     "rsqrt": lambda out, x, **_: x.lo > 0,
     "log": lambda out, x, **_: x.lo > 0,
     "log1p": lambda out, x, **_: x.lo > -1,
     "div": lambda out, x, y, **_: _nonzero(y),
-    "rem": lambda out, x, y, **_: _nonzero(y) & _constant(jnp.trunc, div(x, y)),
+    "rem": lambda out, x, y, **_: _nonzero(y),
     "integer_pow": lambda out, x, y, **_: _nonzero(x) | (y >= 0),
     "pow": lambda out, x, y, numbers, **_: (
         (x.lo > 0) | (x.lo >= 0) & (y.lo > 0) | integral(numbers[1]) & (_nonzero(x) | (y.lo >= 0))
     ),
-    "tan": lambda out, x, **_: jnp.isfinite(out.lo) & jnp.isfinite(out.hi),
-    "atan2": lambda out, y, x, **_: (x.lo > 0) | _nonzero(y),
     "asin": lambda out, x, **_: (x.lo >= -1) & (x.hi <= 1),
     "acos": lambda out, x, **_: (x.lo >= -1) & (x.hi <= 1),
     "acosh": lambda out, x, **_: x.lo >= 1,
     "atanh": lambda out, x, **_: (x.lo > -1) & (x.hi < 1),
+}
+
+STEADY: dict[str, Callable[..., jax.Array]] = {
+    "rem": lambda out, x, y, **_: _constant(jnp.trunc, div(x, y)),
+    "tan": lambda out, x, **_: jnp.isfinite(out.lo) & jnp.isfinite(out.hi),
+    "atan2": lambda out, y, x, **_: (x.lo > 0) | _nonzero(y),
     "sign": lambda out, x, **_: _decided(out),
     "floor": lambda out, x, **_: _decided(out),
     "ceil": lambda out, x, **_: _decided(out),

@@ -17,13 +17,14 @@ import numpy as np
 
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.seams import crossing
 from jaxbound.studies.assessment.detectors import Detector, Needs
+from jaxbound.studies.identification import regression
 
-__all__ = ["Cusum", "Forest", "Principal", "Samples", "Threshold", "complete", "peers_of"]
+__all__ = ["Cusum", "Forest", "Principal", "Samples", "Threshold", "peers_of"]
 
 VARIANCE, LEVEL = 0.9, 0.99
 SIGMAS = 3.0
+AS_RECORDED = regression.Scales(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
 SLACK, LIMIT = 0.5, 5.0
 """Of a CUSUM, in standard deviations: Montgomery, Introduction to statistical quality control, 9.1."""
 
@@ -49,19 +50,9 @@ class Samples(NamedTuple):
         return rows
 
     def usable(self, horizon: int) -> np.ndarray:
-        """Return (T - s,) bool: the windows across no gap with every sample."""
-        usable: np.ndarray = np.isfinite(self.windows(horizon)).all(1)
-        usable &= complete(self.y, self.starts, horizon)[horizon:]
-        return usable
-
-
-def complete(y: np.ndarray, starts: np.ndarray | Sequence[int], horizon: int) -> np.ndarray:
-    """Return (T,) bool: a window of horizon + 1 samples ends here, across no gap and with all outputs."""
-    ends = np.arange(len(y)) >= horizon
-    ends &= ~crossing(np.asarray(starts, int), horizon, 0, len(y))
-    missing = np.cumsum(np.append(0, np.isnan(y).any(1)))
-    ends[horizon:] &= missing[horizon + 1 :] == missing[: len(y) - horizon]
-    return ends
+        """Return the first samples of the windows across no gap with every sample."""
+        u, y = (np.where(np.isfinite(x), x, np.nan) for x in (self.u, self.y))
+        return regression.complete_windows(u, y, self.starts, horizon)
 
 
 def _training_windows(training: Sequence[Samples], horizon: int) -> np.ndarray:
@@ -86,9 +77,8 @@ class OnWindows(Detector):
         """Return (T,), NaN where no window ends."""
         out = np.full(len(samples.y), np.nan)
         known = samples.usable(self.horizon)
-        if known.any():
-            rows = samples.windows(self.horizon)[known]
-            out[self.horizon + np.flatnonzero(known)] = self.scores(rows)
+        if len(known):
+            out[self.horizon + known] = self.scores(samples.windows(self.horizon)[known])
         return out
 
 
@@ -163,38 +153,28 @@ class OneStep:
 
     def __init__(self, training: Sequence[Samples], order: int, direct: bool) -> None:
         self.order, self.direct = order, direct
-        lagged, ends = [], []
-        for samples in training:
-            usable = samples.usable(order)
-            lagged.append(self._regressors(samples.u, samples.y)[usable])
-            ends.append(samples.y[order:][usable])
-        X, Y = np.concatenate(lagged), np.concatenate(ends)
-        self._theta = np.linalg.lstsq(X, Y, rcond=None)[0]
-        errors = Y - X @ self._theta
+        windows = regression.windows_of(list(training), AS_RECORDED, order)
+        self._theta = regression.least_squares(windows, order, direct)
+        errors = regression.step_errors(self._theta, windows, order, direct)
         self.sigma, self.largest = errors.std(0), abs(errors).max(0)
 
     def errors(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return (..., T, p) in the units of y, NaN where samples are missing. u (T, m), y (..., T, p)."""
         batch = y.reshape(-1, *y.shape[-2:])
         out = np.full(batch.shape, np.nan)
+        first = np.arange(max(y.shape[-2] - self.order, 0))
+        at = first[:, None] + np.arange(self.order + 1)
         for number, one in enumerate(batch):
-            out[number, self.order :] = one[self.order :] - self._regressors(u, one) @ self._theta
+            windows = regression.CompleteWindows(u[at], one[at], first)
+            out[number, self.order :] = regression.step_errors(self._theta, windows, self.order, self.direct)
         return out.reshape(y.shape)
 
     def relative(self, samples: Samples) -> np.ndarray:
         """Return (T, p) in standard deviations, NaN where samples are missing or lie across a gap."""
         errors = self.errors(samples.u, samples.y) / np.where(self.sigma > 0, self.sigma, 1.0)
         known = np.zeros(len(samples.y), bool)
-        known[self.order :] = samples.usable(self.order)
+        known[self.order + samples.usable(self.order)] = True
         return np.where(known[:, None], errors, np.nan)
-
-    def _regressors(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return (T - order, .): the samples of y and u before each, and 1."""
-        k = self.order
-        n = max(len(y) - k, 0)
-        before = [y[k - j : k - j + n] for j in range(1, k + 1)]
-        before += [u[k - j : k - j + n] for j in range(not self.direct, k + 1)]
-        return np.concatenate([*before, np.ones((n, 1))], 1)
 
 
 class Threshold(Detector):
@@ -251,7 +231,7 @@ def peers_of(
         ValueError: no window of the training; scikit-learn is not installed.
     """
     samples = [Samples.of(recording) for recording in training]
-    usable = sum(int(np.count_nonzero(one.usable(horizon))) for one in samples)
+    usable = sum(len(one.usable(horizon)) for one in samples)
     if usable < 3:
         raise ValueError(
             f"the recordings to train other detectors on hold {usable} windows of {horizon + 1} samples: "

@@ -25,6 +25,7 @@ from jaxbound.studies.identification.bank import fitted_bank
 from jaxbound.studies.identification.disturbances import refuse_unseen
 from jaxbound.studies.identification.fit_result import Fitted
 from jaxbound.studies.identification.following import hindrance
+from jaxbound.studies.identification.orders import settled
 from jaxbound.studies.identification.recipe import AUTO, BANK, Recipe, RecipeFields, recipe_of
 from jaxbound.studies.identification.records import names_of, parted
 from jaxbound.studies.identification.search import fitted, on_recordings
@@ -35,7 +36,6 @@ from jaxbound.studies.identification.signal_choice import (
     products,
     refuse_unnamed,
 )
-from jaxbound.studies.identification.structure import settled
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.window_tests import WINDOWS
 from jaxbound.text.progress import in_part, reporter

@@ -13,7 +13,6 @@ wide as recordings that are left out ask for, the factor of each of them from th
 
 import keyword
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from jaxbound.recordings.factors import read_factor
 from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.training import Training
 
-__all__ = ["WEIGHTS", "Follows", "Leverage", "follows_in", "hindrance", "times"]
+__all__ = ["WEIGHTS", "Follows", "follows_in", "hindrance", "leverage_text", "times"]
 
 WEIGHTS = (0.1, 0.3)
 """That are tried beside 0; larger ones lose what they gain."""
@@ -46,50 +45,36 @@ class Follows(NamedTuple):
     most: float = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class Leverage:
-    """How unlike its training a sample of the inputs is: |root ((u - middle) / spread)|^2.
+def leverage_text(records: Records, inputs: Sequence[str], chosen: Sequence[str], weight: float) -> str:
+    """Return the factor as an expression, of few digits, of those of the chosen inputs that move in
+    recordings; "" where none does.
 
-    Fields: names: of q inputs. middle, spread (q,). root (q, q): upper triangular.
+    How unlike its training a sample of the inputs is: |root ((u - middle) / spread)|^2.
     """
-
-    names: tuple[str, ...]
-    middle: np.ndarray
-    spread: np.ndarray
-    root: np.ndarray
-
-    @classmethod
-    def of(cls, records: Records, inputs: Sequence[str], chosen: Sequence[str]) -> "Leverage | None":
-        """Return the Leverage of those of the chosen inputs that move in recordings; None where none does."""
-        u = _samples(records)
-        columns = [i for i, name in enumerate(inputs) if name in chosen]
-        if len(u) < 2:
-            return None
-        columns = [i for i in columns if np.ptp(u[:, i]) > 1e-9 * np.abs(u[:, i]).max()]
-        if not columns:
-            return None
-        u = u[:, columns]
-        middle, spread = u.mean(0), u.std(0)
-        z = (u - middle) / spread
-        P = np.linalg.inv(z.T @ z / len(z) + RIDGE * np.eye(len(columns))) / len(columns)
-        names = tuple(inputs[i] for i in columns)
-        return cls(names, middle, spread, np.linalg.cholesky(P).T)
-
-    def text(self, weight: float) -> str:
-        """Return the factor as an expression of the inputs, of few digits."""
-        shifted = []
-        for name, x, spread in zip(self.names, self.middle, self.spread, strict=True):
-            places = 2 - int(np.floor(np.log10(spread)))
-            shifted.append(_minus(_name(name), round(float(x), places)))
-        squares = ["1"]
-        for i, row in enumerate(self.root):
-            terms = []
-            for j in range(i, len(row)):
-                coefficient = np.sqrt(weight) * row[j] / self.spread[j]
-                if j == i or abs(row[j]) > SMALL:
-                    terms.append(f"{coefficient:.3g}*{shifted[j]}")
-            squares.append(f"({' + '.join(terms).replace('+ -', '- ')})**2")
-        return f"sqrt({' + '.join(squares)})"
+    u = _samples(records)
+    columns = [i for i, name in enumerate(inputs) if name in chosen]
+    if len(u) < 2:
+        return ""
+    columns = [i for i in columns if np.ptp(u[:, i]) > 1e-9 * np.abs(u[:, i]).max()]
+    if not columns:
+        return ""
+    u = u[:, columns]
+    middle, spread = u.mean(0), u.std(0)
+    z = (u - middle) / spread
+    P = np.linalg.inv(z.T @ z / len(z) + RIDGE * np.eye(len(columns))) / len(columns)
+    shifted = []
+    for i, x, size in zip(columns, middle, spread, strict=True):
+        places = 2 - int(np.floor(np.log10(size)))
+        shifted.append(_minus(_name(inputs[i]), round(float(x), places)))
+    squares = ["1"]
+    for i, row in enumerate(np.linalg.cholesky(P).T):
+        terms = []
+        for j in range(i, len(row)):
+            coefficient = np.sqrt(weight) * row[j] / spread[j]
+            if j == i or abs(row[j]) > SMALL:
+                terms.append(f"{coefficient:.3g}*{shifted[j]}")
+        squares.append(f"({' + '.join(terms).replace('+ -', '- ')})**2")
+    return f"sqrt({' + '.join(squares)})"
 
 
 def _samples(records: Records) -> np.ndarray:
@@ -130,10 +115,10 @@ def times(training: Training, records: Records, weight: float) -> dict[str, Any]
     """Return the argument `times` of a LinearSystem that is fitted to some of the recordings."""
     if not weight:
         return {}
-    leverage = Leverage.of(records, training.inputs, _inputs(training))
-    if leverage is None:  # nothing moves in them: nothing is known of how errors grow
+    text = leverage_text(records, training.inputs, _inputs(training), weight)
+    if not text:  # nothing moves in them: nothing is known of how errors grow
         return {}
-    return {"times": dict.fromkeys(training.outputs, leverage.text(weight))}
+    return {"times": dict.fromkeys(training.outputs, text)}
 
 
 def follows_in(training: Training, spec: Mapping[str, Any], weight: float) -> Follows:

@@ -7,12 +7,12 @@ Errors of a certain plant whose sensors alone err are known up to the first stat
 
 so the least factor t with |v_i| <= t b_i, and |mean of v| <= t a where means have bounds, is the best
 approximation in the maximum norm of r by the columns of O, each row over its bound: a linear program with few
-unknowns. An interior point method solves it for many windows at once. Where only the largest factor counts,
-most windows need no program: with the residual e of least squares, orthogonal to O,
+unknowns. Exchanges solve it for many windows at once (`sets.strips.chebyshev`). Where only the largest factor
+counts, most windows need no program: with the residual e of least squares, orthogonal to O,
 
     |e|_2^2 / |e|_1 <= t <= |e|_inf
 
-Source: Mehrotra 1992 (steps); Cheney 1966 (duality of approximation in the maximum norm).
+Source: Cheney 1966 (duality of approximation in the maximum norm).
 """
 
 from collections.abc import Sequence
@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
+from jaxbound.sets.strips.chebyshev import fitted
 from jaxbound.studies.identification.judging import Judge, Sizes
 from jaxbound.studies.identification.one_thread import times
 from jaxbound.studies.identification.records import Record, Records
@@ -33,9 +34,6 @@ CHUNK, BATCH = 2_048, 64
 """Windows whose residuals are looked at together; whose programs are solved together."""
 RANK = 1e-11
 """Share of the largest singular value below which a direction of the first state shows nowhere."""
-STEPS, CLOSED, BOUNDARY, SURELY = 60, 1e-10, 0.99, 1 + 1e-9
-"""Steps of the interior point method at most, the relative gap that ends it, how near to the boundary a step
-may go, and from what multiple of a level on a number is above it for sure."""
 
 
 class Gauge(NamedTuple):
@@ -70,25 +68,27 @@ class Gauge(NamedTuple):
             x = x @ A.T + u[:, k] @ B.T
         return out
 
-    def largest(self, record: Record, every: bool = False) -> np.ndarray:
+    def largest(self, record: Record, every: bool = False, most: int | None = None) -> np.ndarray:
         """Return (T,): of each complete window a lower bound on its factor, of the one that needs most its
-        factor; nan elsewhere. every: of each its factor.
+        factor; nan elsewhere. every: of each its factor. most: so many windows at most, spread evenly.
         """
         u, y, starts = record
         first = complete_windows(u, y, starts, self.horizon)
+        if most is not None and len(first) > most:
+            first = first[np.linspace(0, len(first) - 1, most).astype(int)]
         need = np.full(len(y), np.nan)
-        least, most = np.zeros(len(first)), np.zeros(len(first))
+        least, above = np.zeros(len(first)), np.zeros(len(first))
         for begin in range(0, len(first), CHUNK):
             part = slice(begin, begin + CHUNK)
-            least[part], most[part] = _bracket(self.rows(record, first[part]))
-        order = np.argsort(-most)
+            least[part], above[part] = _bracket(self.rows(record, first[part]))
+        order = np.argsort(-above)
         for begin in range(0, len(order), BATCH):
             some = order[begin : begin + BATCH]
             level = 0.0 if every else least.max()
-            some = some[most[some] > level]
+            some = some[above[some] > level]
             if not len(some):
                 break
-            found = best_approximations(self.rows(record, first[some]), self.free, level)
+            found = best_approximations(self.rows(record, first[some]), self.free)
             least[some] = np.where(found > level, found, least[some])
         need[first + self.horizon] = least
         return need
@@ -105,7 +105,7 @@ class Gauge(NamedTuple):
                 return part[least > 1][:1]
             for at in range(0, len(doubtful), BATCH):
                 some = doubtful[at : at + BATCH]
-                found = best_approximations(self.rows(record, some), self.free, 1.0, decide=True)
+                found = best_approximations(self.rows(record, some), self.free)
                 if (found > 1).any():
                     worst = int(np.argmax(found))
                     return some[worst : worst + 1]
@@ -164,99 +164,18 @@ def _bracket(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.square(e).sum(1) / total, size.max(1)
 
 
-def best_approximations(
-    r: np.ndarray, free: np.ndarray, level: float = 0.0, decide: bool = False
-) -> np.ndarray:
+def best_approximations(r: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Return min over x of max_i |r_i - (free x)_i| for each of the rows of r (N, R); free (R, n)
     orthonormal.
-
-    Args:
-        level: of a row whose minimum is not above it, any number that is not above it either. decide: of all
-            others any number above it: the search ends as soon as it knows.
-
-    Every step keeps both sides of the program feasible:
-
-        minimise t: t -+ (r - free x) >= 0;    maximise r'(h - l): free'(h - l) = 0, sum(h + l) = 1, h, l >= 0
     """
     r = r - (r @ free) @ free.T
     size = np.maximum(np.abs(r).max(1), 1e-300)
     r = r / size[:, None]
-    best = np.abs(r).max(1)
-    if free.shape[1]:
-        best = np.minimum(best, _interior(r, free, level / size, decide))
-    return np.asarray(best * size)
-
-
-def _interior(r: np.ndarray, free: np.ndarray, level: np.ndarray, decide: bool) -> np.ndarray:
-    """Return the same of rows of size 1, by the interior point method. level: (N,)."""
-    count, (R, n) = len(r), free.shape
-    pairs = (free[:, :, None] * free[:, None, :]).reshape(R, n * n)
-    x, t = np.zeros((count, n)), np.full(count, 1.1)
-    prices = np.full((2, count, R), 1 / (2 * R))  # of r - free x <= t and of free x - r <= t
-    best, opened = np.abs(r).max(1), np.arange(count)
-    for _ in range(STEPS):
-        left = r[opened] - x @ free.T
-        best[opened] = np.minimum(best[opened], np.abs(left).max(1))
-        slack = np.stack([t[:, None] - left, t[:, None] + left])
-        gap = (prices * slack).sum((0, 2))
-        on = (gap > CLOSED * t) & (best[opened] > level[opened])
-        if decide:
-            on &= t - gap <= SURELY * level[opened]  # what the prices prove
-        if not on.any():
-            break
-        opened, x, t, gap, prices, slack = opened[on], x[on], t[on], gap[on], prices[:, on], slack[:, on]
-        weight = prices / slack
-        normal = _normal(weight, pairs, free, n)
-        # the affine step says how far the gap can close, the second one aims there
-        move, change = _step(normal, free, prices, slack, weight, np.zeros_like(prices))
-        moved = _on_slack(move, free)
-        onward, priced = _reach(slack, moved), _reach(prices, change)
-        after = (prices + priced[:, None] * change) * (slack + onward[:, None] * moved)
-        centring = gap / (2 * R) * np.clip(after.sum((0, 2)) / gap, 0, 1) ** 3
-        move, change = _step(normal, free, prices, slack, weight, centring[:, None] - change * moved)
-        onward = BOUNDARY * _reach(slack, _on_slack(move, free))
-        priced = BOUNDARY * _reach(prices, change)
-        x, t = x + onward[:, None] * move[:, :n], t + onward * move[:, n]
-        prices = prices + priced[:, None] * change
-    return np.asarray(best)
-
-
-def _normal(weight: np.ndarray, pairs: np.ndarray, free: np.ndarray, n: int) -> np.ndarray:
-    """Return the matrices (N, n + 1, n + 1) of the steps in (x, t)."""
-    both, apart = weight[0] + weight[1], weight[0] - weight[1]
-    normal = np.empty((len(both), n + 1, n + 1))
-    normal[:, :n, :n] = (both @ pairs).reshape(-1, n, n)
-    normal[:, :n, n] = normal[:, n, :n] = apart @ free
-    normal[:, n, n] = both.sum(1)
-    least = 1e-14 * np.trace(normal, axis1=1, axis2=2)
-    return np.asarray(normal + least[:, None, None] * np.eye(n + 1))
-
-
-def _step(
-    normal: np.ndarray,
-    free: np.ndarray,
-    prices: np.ndarray,
-    slack: np.ndarray,
-    weight: np.ndarray,
-    aim: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the step (N, n + 1) in (x, t) and that in prices (2, N, R), towards prices * slack = aim."""
-    toward = aim / slack - prices
-    right = np.concatenate([(toward[0] - toward[1]) @ free, toward.sum((0, 2))[:, None]], 1)
-    move = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-    return move, toward - weight * _on_slack(move, free)
-
-
-def _on_slack(move: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Return how slacks (2, N, R) change by a step in (x, t)."""
-    turned = move[:, :-1] @ free.T
-    return np.stack([move[:, -1:] + turned, move[:, -1:] - turned])
-
-
-def _reach(values: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Return the largest share (N,) of a step, at most 1, that leaves values (2, N, R) at 0 or above."""
-    shrinking = np.where(change < 0, -values / np.minimum(change, -1e-300), np.inf)
-    return np.asarray(np.minimum(shrinking.min((0, 2)), 1.0))
+    N, (R, n) = len(r), free.shape
+    values, radius = np.concatenate([r, np.zeros((N, n))], 1), np.ones((N, R + n))
+    there, unbounded = np.ones((N, R), bool), np.ones((N, n), bool)
+    x = fitted(np.broadcast_to(free, (N, R, n)), values, radius, there, unbounded, RANK).x
+    return np.asarray(np.abs(r - x @ free.T).max(1) * size)
 
 
 @dataclass(frozen=True)
@@ -264,15 +183,17 @@ class GaugeJudge(Judge):
     """Windows as a search in floats sees them: to choose by, not to prove. Incomplete windows do not count,
     and of all but the tightest a need is a lower bound.
 
-    Fields: every: whether each need is searched for, not the largest alone.
+    Fields: every: whether each need is searched for, not the largest alone. most: windows of a recording that
+    are looked at, spread evenly; None: all.
     """
 
     every: bool = False
+    most: int | None = None
 
     def needs(self, model: LinearSystem, parts: Records) -> list[np.ndarray]:
         """Return the need of the tightest window of each recording, and lower bounds on the others."""
         gauge = gauge_of(model)
-        return [gauge.largest(part, self.every) for part in parts]
+        return [gauge.largest(part, self.every, self.most) for part in parts]
 
     def sizes(self, model: LinearSystem, scales: Scales) -> tuple[Sizes, Sizes]:
         """Return (jump, steady) as `WindowJudge` does."""

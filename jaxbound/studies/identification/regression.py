@@ -36,6 +36,7 @@ __all__ = [
     "responses",
     "scales_of",
     "step_error",
+    "step_errors",
     "window_residuals",
     "windows_of",
     "windows_without",
@@ -165,10 +166,14 @@ def least_squares(windows: CompleteWindows, order: int, direct: bool) -> np.ndar
     return np.asarray(np.linalg.lstsq(regressors, windows.y[:, order], rcond=1e-9)[0])
 
 
+def step_errors(theta: np.ndarray, windows: CompleteWindows, order: int, direct: bool) -> np.ndarray:
+    """Return the errors (N, p) of one step in windows of order + 1 samples."""
+    return np.asarray(windows.y[:, order] - _regressors(windows, order, direct) @ theta)
+
+
 def step_error(windows: CompleteWindows, order: int, direct: bool) -> float:
     """Return the sum of the squares that `least_squares` leaves of windows of order + 1 samples."""
-    theta = least_squares(windows, order, direct)
-    left = windows.y[:, order] - _regressors(windows, order, direct) @ theta
+    left = step_errors(least_squares(windows, order, direct), windows, order, direct)
     return float(np.square(left).sum())
 
 

@@ -22,10 +22,10 @@ from jaxbound.studies.identification.following import WEIGHTS, hindrance
 from jaxbound.studies.identification.gauge import GaugeJudge
 from jaxbound.studies.identification.judging import ObserverJudge, WindowJudge, explains
 from jaxbound.studies.identification.means import smallest_means
+from jaxbound.studies.identification.orders import acting_otherwise, settled
 from jaxbound.studies.identification.outliers import refuse_outliers
 from jaxbound.studies.identification.recipe import AUTO, KINDS, Recipe
 from jaxbound.studies.identification.records import parted
-from jaxbound.studies.identification.structure import acting_otherwise, settled
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, GivenUp, hidden_jumps
 from jaxbound.studies.identification.trial import Trial, tried

@@ -25,8 +25,9 @@ from jaxbound.recordings.expressions import expression, is_expression
 from jaxbound.studies.identification import regression
 from jaxbound.studies.identification.candidates import FitProblem
 from jaxbound.studies.identification.gauge import GaugeJudge
+from jaxbound.studies.identification.orders import ENOUGH
 from jaxbound.studies.identification.recipe import KINDS, Recipe
-from jaxbound.studies.identification.structure import ENOUGH, delayed
+from jaxbound.studies.identification.structure import delayed
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trial import tried
 

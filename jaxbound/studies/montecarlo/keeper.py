@@ -58,7 +58,7 @@ class Keeper:
             return False
         self.done, self.parts = int(arrays["done"]), int(arrays["parts"])
         for i, tally in enumerate(self.tallies):
-            tally.load({name: arrays[f"{i}.{name}"] for name in tally.arrays()})
+            vars(tally).update({name: arrays[f"{i}.{name}"] for name in tally.arrays()})
         return True
 
     def save(self, done: int) -> None:

@@ -23,7 +23,7 @@ import numpy as np
 from jaxbound.consistency.folded import folded_verdict
 from jaxbound.consistency.reading import Reading
 from jaxbound.random.threefry import Array
-from jaxbound.studies.montecarlo import draws, recursion, scenarios
+from jaxbound.studies.montecarlo import draws, recursion
 from jaxbound.studies.montecarlo.scenarios import Act
 
 __all__ = [
@@ -150,7 +150,7 @@ def move(
 
     def faulty(values: list[Array], errors: Sequence[Array], channel: Array, dropped: float) -> list[Array]:
         """Return signals with the fault, where it is one of theirs; keep the value that one sticks to.
-        errors: what a gain does not multiply.
+        errors: what a gain does not multiply. dropped: what is left of a missing sample.
         """
         nonlocal stuck
         if act.kind in ("none", "tolerance"):
@@ -158,9 +158,16 @@ def move(
         out: list[Array] = []
         for i, (value, error) in enumerate(zip(values, errors, strict=True)):
             mine = on & (channel == i)
-            if act.kind == "stuck":
-                stuck = jnp.where(mine & (since == 0), value, stuck)
-            changed = scenarios.changed(act, value, error, size, since, extra, stuck, dropped)
+            if act.kind == "noise":
+                assert extra is not None, "a noise fault draws"
+                changed = value + size * extra
+            elif act.kind == "shift":
+                grown = act.bias + act.drift * since.astype(value.dtype) + act.gain * (value - error)
+                changed = value + size * grown
+            elif act.kind == "stuck":
+                changed = stuck = jnp.where(mine & (since == 0), value, stuck)
+            else:
+                changed = jnp.full_like(value, dropped)
             out.append(jnp.where(mine, changed, value))
         return out
 

@@ -11,11 +11,9 @@ from __future__ import annotations
 import dataclasses
 import os
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from itertools import islice
 from typing import TYPE_CHECKING, TypeAlias
 
 import jax
@@ -75,6 +73,7 @@ LONGEST = 10**6  # samples of a scenario
 ATTACKED = 256  # scenarios that an adversary works on at once: they share the memory of the descent
 EVERY, PART = 5.0, 64  # seconds between two states that are kept; with rows, tasks in a part
 TOGETHER = 16  # tasks that go to a worker at once
+AHEAD = 64  # tasks a thread that are sent out at once
 
 
 @where_proofs_hold()
@@ -490,16 +489,7 @@ def _on_cores(job: _Scenarios, tasks: Sequence[Task]) -> Iterator[Counts]:
     if hasattr(os, "sched_getaffinity"):
         cores = len(os.sched_getaffinity(0))
     threads = max(1, cores // (1 + len(others)))
-    run = inherited(job.run)
-    left = iter(tasks)
-    waiting: deque[Future[Counts]] = deque()
+    run, ahead = inherited(job.run), AHEAD * threads
     with ThreadPoolExecutor(threads) as pool:
-        try:
-            waiting.extend(pool.submit(run, task) for task in islice(left, threads + 2))
-            while waiting:
-                found = waiting.popleft().result()
-                waiting.extend(pool.submit(run, task) for task in islice(left, 1))
-                yield found
-        finally:
-            for one in waiting:
-                one.cancel()
+        for first in range(0, len(tasks), ahead):  # results must not pile up
+            yield from pool.map(run, tasks[first : first + ahead])

@@ -13,8 +13,7 @@ import numpy as np
 from jaxbound.consistency.interface import AUTO, Relations
 from jaxbound.consistency.monitorbank import MonitorBank, combined
 from jaxbound.diagnosis.detection import detect
-from jaxbound.models.simulate import simulate
-from jaxbound.random.threefry import Array
+from jaxbound.models.simulate import Acts, recorded_inputs, simulated
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.montecarlo import kernel, scenarios
@@ -106,43 +105,20 @@ def simulate_block(scene: kernel.Scene, numbers: np.ndarray) -> tuple[np.ndarray
     Args:
         scene: with a LinearSystem in place of the plant.
     """
-    inputs, size, onset = kernel.prepared(scene, numbers)
+    inputs, size, onset = map(np.asarray, kernel.prepared(scene, numbers))
     course, act, u, model = scene.course, scene.act, scene.u, scene.plant
-    T, size, onset = course.samples, size[:, None], onset[:, None]
+    T = course.samples
     if u is not None:
         recorded = np.broadcast_to(np.asarray(u), (len(numbers), *u.shape))
     elif model.m:
-        recorded = np.repeat(np.moveaxis(np.asarray(inputs), 2, 0), course.hold, 1)[:, :T]
+        recorded = np.repeat(np.moveaxis(inputs, 2, 0), course.hold, 1)[:, :T]
     else:
         recorded = np.zeros((len(numbers), T, 0), inputs.dtype)
-    since = jnp.arange(T, dtype=jnp.int32)[None] - onset
+    since = np.arange(T)[None] - onset[:, None]
     on = (since >= 0) & (since < act.length)
+    channels = act.channels
+    acts = Acts(channels, size[None, :, None][: len(channels)], on[None][: len(channels)])
     own = jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(scene.key)), numbers[0])
-    k_run, k_extra = jax.random.split(own)
-    extra = jax.random.uniform(k_extra, since.shape, size.dtype, -1, 1)
-
-    def faulty(values: jax.Array, errors: jax.Array, channel: Array, dropped: float) -> jax.Array:
-        """Return signals (N, T, c) with the fault, where it is one of theirs. errors: their noise."""
-        i = int(channel)
-        if i < 0 or act.kind in ("none", "tolerance"):
-            return values
-        value = values[..., i]
-        held = jnp.take_along_axis(value, jnp.minimum(onset, T - 1), 1)
-        changed = scenarios.changed(act, value, errors[..., i], size, since, extra, held, dropped)
-        return values.at[..., i].set(jnp.where(on, changed, value))
-
-    applied = faulty(jnp.asarray(recorded), jnp.zeros(recorded.shape), act.input, 0.0)
-    if model.factors:  # they follow what was recorded, whatever an actuator does
-        factors = Recording.of(model, recorded, np.zeros((*recorded.shape[:-1], model.p))).u[..., model.m :]
-        applied = jnp.concatenate([applied, factors.astype(applied.dtype)], -1)
-    run = simulate(model, applied, k_run, at="vertices" if course.vertices else "uniform")
-    y = faulty(run.y, run.noise, act.output, jnp.nan)
-    if act.kind == "tolerance":
-        i = int(act.output)
-        offset = float(model.offset["y"][i])
-        true = (y[..., i] - offset - run.noise[..., i]) / (1 + run.theta[..., i])
-        if course.vertices:
-            extra = jnp.where(extra < 0, -1, 1)
-        theta = size * extra
-        y = y.at[..., i].set(jnp.where(on, offset + true + theta * true + run.noise[..., i], y[..., i]))
-    return recorded, np.asarray(y), np.asarray(onset)[:, 0]
+    at = "vertices" if course.vertices else "uniform"
+    run = simulated(model, recorded_inputs(model, recorded), jax.random.split(own)[0], acts, at)
+    return recorded, np.asarray(run.y), onset

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any, cast
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.interface import Relations
@@ -17,14 +16,17 @@ from jaxbound.models.arguments import listed_argument
 from jaxbound.models.faults import KINDS, Fault, refuse_unknown_signal
 from jaxbound.models.numbers import is_whole
 from jaxbound.models.operating_point import at_factors
+from jaxbound.models.simulate import Channel
 from jaxbound.models.system import LinearSystem
 from jaxbound.random.threefry import Array
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.studies.montecarlo import recursion
 
-__all__ = ["Act", "Ground", "Trial", "act_of", "changed"]
+__all__ = ["Act", "Ground", "Trial", "act_of"]
 
 SIZELESS = ("stuck", "dropout")
+SHIFTS = ("bias", "drift", "gain")
+"""Kinds that one kernel serves."""
 GRID = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2])
 """Sizes where none are given, in units of the guaranteed one."""
 
@@ -83,6 +85,18 @@ class Act:
     length: Array
     kind: str = field(metadata={"static": True})
 
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The fault as `models.simulate` sees it; none where there is none."""
+        if self.kind == "none":
+            return ()
+        kind = self.kind
+        for name in SHIFTS:
+            if kind == "shift" and getattr(self, name):
+                kind = name
+        places = [None if number < 0 else int(number) for number in (self.output, self.input)]
+        return (Channel(kind, *places),)
+
 
 def act_of(trial: Trial, model: LinearSystem, dtype: np.dtype) -> Act:
     """Return the Act of a Trial."""
@@ -100,7 +114,7 @@ def act_of(trial: Trial, model: LinearSystem, dtype: np.dtype) -> Act:
         first=np.asarray(first, np.uint32),
         span=np.asarray(stop - first, np.uint32),
         length=np.asarray(trial.length, np.int32),
-        kind="shift" if kind in ("bias", "drift", "gain") else kind,
+        kind="shift" if kind in SHIFTS else kind,
     )
 
 
@@ -109,34 +123,6 @@ def _number_of(signal: str | None, names: tuple[str, ...]) -> int:
     if signal is None or signal not in names:
         return -1
     return names.index(signal)
-
-
-def changed(
-    act: Act,
-    value: Array,
-    error: Array,
-    size: Array,
-    since: Array,
-    extra: Array | None,
-    held: Array,
-    dropped: float,
-) -> Array:
-    """Return a value as the fault leaves it, `since` samples after its onset.
-
-    Args:
-        error: its noise, which no gain multiplies. extra: a number in [-1, 1] for kind "noise". held: the
-            value at the onset. dropped: what is left of a missing sample.
-    """
-    if act.kind == "noise":
-        assert extra is not None, "a noise fault draws"
-        return value + size * extra
-    if act.kind == "shift":
-        grown = act.bias + act.drift * since.astype(value.dtype) + act.gain * (value - error)
-        return value + size * grown
-    if act.kind == "stuck":
-        return held
-    assert act.kind == "dropout", act.kind
-    return jnp.full_like(value, dropped)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,26 +2,11 @@
 cut up.
 """
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from jaxbound.studies.montecarlo.proportions import proportion_interval, rate_interval
 
 __all__ = ["TrialTally"]
-
-SUMS = (
-    "scenarios",
-    "detected",
-    "hits",
-    "windows",
-    "squares",
-    "crossed",
-    "squared",
-    "false",
-    "clean",
-    "alarmed",
-)
 
 
 class TrialTally:
@@ -43,10 +28,11 @@ class TrialTally:
     false: np.ndarray
     clean: np.ndarray
     alarmed: np.ndarray
+    delays: np.ndarray
 
     def __init__(self, sizes: int, samples: int) -> None:
         """Begin at zero."""
-        for name in SUMS:
+        for name in TrialTally.__annotations__:
             setattr(self, name, np.zeros(sizes, np.int64))
         self.delays = np.zeros((sizes, samples + 1), np.int64)
 
@@ -94,10 +80,5 @@ class TrialTally:
         )
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return {name: array}, which `load` takes."""
-        return {name: getattr(self, name) for name in (*SUMS, "delays")}
-
-    def load(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Take the arrays that `arrays` returned."""
-        for name in (*SUMS, "delays"):
-            setattr(self, name, np.asarray(arrays[name]))
+        """Return {name: array}."""
+        return dict(vars(self))

@@ -16,11 +16,14 @@ Wolfowitz); Campi, Garatti 2008.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 __all__ = [
+    "Blocks",
     "Risk",
+    "Search",
     "blocks_of",
     "distribution_band",
     "held_out",
@@ -110,32 +113,31 @@ def scenario_bound(n: int, bounds: int, confidence: float) -> float:
         >>> round(scenario_bound(59, 1, 0.95), 3), round(scenario_bound(100, 4, 0.95), 3)
         (0.05, 0.076)
     """
+    from scipy.special import betaincinv
+
     if bounds > n:
         return 1.0
-    log_choose = [math.lgamma(n + 1) - math.lgamma(i + 1) - math.lgamma(n - i + 1) for i in range(bounds)]
-    low, high = 0.0, 1.0
-    for _ in range(60):
-        eps = 0.5 * (low + high)
-        tail = 0.0
-        for i, c in enumerate(log_choose):
-            tail += math.exp(c + i * math.log(eps) + (n - i) * math.log1p(-eps))
-        if tail > 1 - confidence:
-            low = eps
-        else:
-            high = eps
-    return high
+    return float(betaincinv(bounds, n - bounds + 1, confidence))
 
 
-def blocks_of(across: np.ndarray, horizon: int, length: int | None = None) -> tuple[np.ndarray, int]:
+class Blocks(NamedTuple):
+    """Blocks of windows that share no sample: there are s windows between two of them.
+
+    Fields: label: (T,) the number of the block of each window, -1 where it is in none. length: windows in
+    each. horizon: s.
+    """
+
+    label: np.ndarray
+    length: int
+    horizon: int
+
+
+def blocks_of(across: np.ndarray, horizon: int, length: int | None = None) -> Blocks:
     """Cut windows into blocks that share no sample.
 
     Args:
         across: (T,) bool, True where no window ends. horizon: s. length: windows in a block; None: so many
             that there are about 100 blocks, and s + 1 at least.
-
-    Returns:
-        (label (T,), length): the number of the block of each window, -1 where it is in none: there are s
-        windows between two blocks.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[True], across, [True]]).astype(np.int8)))
     runs = [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
@@ -146,7 +148,7 @@ def blocks_of(across: np.ndarray, horizon: int, length: int | None = None) -> tu
         for begin in range(first, stop - length + 1, length + horizon):
             label[begin : begin + length] = number
             number += 1
-    return label, length
+    return Blocks(label, length, horizon)
 
 
 def held_out(blocks: int, share: float) -> np.ndarray:
@@ -173,35 +175,34 @@ def touched(chosen: np.ndarray, horizon: int) -> np.ndarray:
     return count[np.minimum(at + horizon + 1, len(chosen))] > count[np.maximum(at - horizon, 0)]
 
 
-def risk_of(
-    factors: np.ndarray,
-    label: np.ndarray,
-    length: int,
-    kept: np.ndarray,
-    *,
-    tuned: int,
-    convex: bool,
-    fixed: bool,
-    confidence: float,
-    safety: float,
-    horizon: int,
-) -> Risk:
+class Search(NamedTuple):
+    """The part that data had in a search for bounds.
+
+    Fields: kept: (blocks,) bool, blocks that had no part in choosing the direction. tuned: how many bounds
+    moved. convex: whether the program is. fixed: whether data had no part in the direction at all.
+    """
+
+    kept: np.ndarray
+    tuned: int
+    convex: bool
+    fixed: bool
+
+
+def risk_of(factors: np.ndarray, blocks: Blocks, search: Search, confidence: float, safety: float) -> Risk:
     """Return the Risk of bounds that were scaled until all windows were inside.
 
     Args:
-        factors: (T,) t of every window at the smallest bounds, NaN where missing. label, length: from
-            `blocks_of`.
-        kept: (blocks,) bool, blocks that had no part in choosing the direction. tuned: how many bounds moved.
-            convex: True if the program is. fixed: True if data had no part in the direction at all.
-                confidence: of .rate.
-        safety: the factor on top. horizon: s.
+        factors: (T,) t of every window at the smallest bounds, NaN where missing. blocks: of these windows.
+            search: that found the bounds. confidence: of .rate. safety: the factor on top.
     """
+    label, length, horizon = blocks
+    kept, tuned, convex, fixed = search
     worst = np.full(int(label.max(initial=-1)) + 1, -np.inf)
     inside = (label >= 0) & ~np.isnan(factors)
     np.maximum.at(worst, label[inside], factors[inside])
     has_data = worst > -np.inf  # a block without any data says nothing
     kept = has_data if fixed else kept & has_data
-    n, blocks = int(kept.sum()), int(has_data.sum())
+    n, count = int(kept.sum()), int(has_data.sum())
     extra = ""
     if safety != 1:
         extra = f" The safety factor {safety:g} comes on top and is not counted."
@@ -210,12 +211,12 @@ def risk_of(
         text = _calibrated_text(n, length, average, rate, band, confidence, fixed) + extra
         return Risk(n, length, average, rate, confidence, band, np.sort(worst[kept]), False, text)
     factors_of_blocks = np.sort(worst[has_data])
-    if blocks > tuned and convex:
-        average, rate = tuned / (blocks + 1), scenario_bound(blocks, tuned, confidence)
-        text = _guiding_text(blocks, length, average, rate, confidence, tuned) + extra
-        return Risk(blocks, length, average, rate, confidence, None, factors_of_blocks, True, text)
+    if count > tuned and convex:
+        average, rate = tuned / (count + 1), scenario_bound(count, tuned, confidence)
+        text = _guiding_text(count, length, average, rate, confidence, tuned) + extra
+        return Risk(count, length, average, rate, confidence, None, factors_of_blocks, True, text)
     text = (
-        f"Nothing can be said about other healthy data: {blocks} block{'s' * (blocks != 1)} of {length} "
+        f"Nothing can be said about other healthy data: {count} block{'s' * (count != 1)} of {length} "
         f"windows of {horizon + 1} samples, none of them kept out of the search. More data, or calibrate= > "
         f"0, give a statement.{extra}"
     )

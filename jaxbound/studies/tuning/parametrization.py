@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.arguments import listed_argument, table_argument
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.window import bounded_sums, changed_sums
 from jaxbound.relations.bounds import KINDS, model_bounds
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
@@ -180,7 +179,7 @@ def _owners(model: LinearSystem) -> dict[str, tuple[str, ...]]:
         "output": model.outputs,
         "disturbance": tuple(f"w{j + 1}" for j in range(model.g)),
         "parameter": tuple(u.name for u in model.uncertainties),
-        "average": tuple(bounded.text for bounded in bounded_sums(model)),
+        "average": tuple(bounded.text for bounded in model.averages),
     }
 
 
@@ -282,7 +281,7 @@ def _decimals(model: LinearSystem, kind: str, now: np.ndarray, before: np.ndarra
         "tolerance": list(model.tolerance),
         "noise": list(model.noise),
         "disturbance": [end for pair in model.disturbance for end in pair],
-        "average": [bounded.bound for bounded in bounded_sums(model)],
+        "average": [bounded.bound for bounded in model.averages],
     }
     exact = stated.get(kind, [Fraction(1)] * len(now))
     for i in np.flatnonzero(now != before):
@@ -295,7 +294,8 @@ def _changes(model: LinearSystem, kind: str, exact: list[Fraction]) -> dict[str,
     if kind == "disturbance":
         return {kind: (model.G, tuple(zip(exact[::2], exact[1::2], strict=True)))}
     if kind == "average":
-        return dict(changed_sums(model, exact))
+        pairs = zip(model.averages, exact, strict=True)
+        return {"averages": [replace(average, bound=bound) for average, bound in pairs]}
     if kind != "parameters":
         return {kind: exact}
     parameters = []

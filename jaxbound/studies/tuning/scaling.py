@@ -39,6 +39,7 @@ __all__ = [
 FEW = 16  # worst windows that a test of all adds to those searched
 LEAST, MOST = 1e-12, 1e15  # factors looked at
 NEAR_ONE = 0.999999  # of a tolerance
+DOUBLE = math.log(2)
 
 
 @dataclass(frozen=True)
@@ -260,7 +261,7 @@ def smallest_scale(
         if outcome != "found":
             last = np.nan_to_num(judge(limit, u, y).margin[..., -1], nan=np.inf)
             _refuse_factors(outcome, moved, values, windows, int(few[np.argmin(last)]))
-        low, high = bracket.proved, bracket.high[0]
+        low, high = bracket.proved, math.exp(bracket.high)
         if searched:  # a search may end otherwise in company
             scale, grow = max(high, scale * (1 + grow)), 4 * grow
         else:
@@ -302,68 +303,54 @@ def _refuse_factors(
 class _Bracket:
     """Two factors with the smallest one that is accepted between them, relatively `close`.
 
-    In the usual case t is inversely proportional to the factor: the secant of log t over log x lands on the
-    crossing, and both sides of it are tried.
+    In the usual case t is inversely proportional to the factor, so that the secant of log t over the
+    logarithm of the factor lands on the crossing.
 
-    low, high: (factor, log t) of the largest that is not accepted, of the smallest that is; proved: the
+    low, high: logarithms of the largest factor that is not accepted, of the smallest that is; proved: the
     largest factor that is refuted.
     """
 
     def __init__(self, judge: Callable[[float], _Judgement], limit: float, close: float) -> None:
         """Begin without any factor."""
-        self.judge, self.limit, self.close = judge, limit, close
-        self.low, self.high, self.proved = (0.0, math.inf), (math.inf, -math.inf), 0.0
+        self.judge, self.limit, self.close = judge, math.log(limit), close
+        self.low, self.high, self.proved = -math.inf, math.inf, 0.0
 
     def search(self, x: float) -> str:
         """Search from a factor on: return "found", or "never" or "nothing" where there is no such pair."""
-        while self.high[0] == math.inf:
-            t = self._look(x)
-            if self.high[0] == math.inf:
-                if x >= self.limit:
+        from scipy.optimize import brentq
+
+        at = min(math.log(x), self.limit)
+        while self.high == math.inf:
+            log_t = self._look(at)
+            if self.high == math.inf:
+                if at >= self.limit:
                     return "never"
-                step = min(t * (1 + self.close), 1e3) if t > 1 + self.close else 2
-                x = min(self.limit, x * step)
-        while self.low[0] == 0:
-            if x < LEAST:
+                at = min(self.limit, at + min(log_t + DOUBLE, 10 * DOUBLE))
+        while self.low == -math.inf:
+            if at < math.log(LEAST):
                 return "nothing"
-            x *= max(t * (1 - self.close), 1e-3) if t < 1 - 2 * self.close else 0.5
-            t = self._look(x)
-        while self.high[0] > self.low[0] * (1 + self.close):
-            self._narrow()
+            at += max(log_t - DOUBLE, -10 * DOUBLE)
+            log_t = self._look(at)
+        brentq(self._look, self.low, self.high, xtol=self.close)
         self._prove()
         return "found"
 
     def _look(self, at: float) -> float:
-        """Judge a factor and move the end that it belongs to; return t."""
-        accepted, refuted, t, _ = self.judge(at)
+        """Judge a factor and move the end that it belongs to; return log t, its sign that of the verdict."""
+        accepted, refuted, t, _ = self.judge(math.exp(at))
         if refuted:
-            self.proved = max(self.proved, at)
+            self.proved = max(self.proved, math.exp(at))
         if accepted:
-            self.high = min(self.high, (at, min(math.log(max(t, 1e-300)), -1e-300)))
-        else:
-            self.low = max(self.low, (at, math.log(max(t, 1.0))))
-        return t
-
-    def _narrow(self) -> None:
-        """Try both sides of the crossing that the secant says, and the middle where that is not enough."""
-        (low, above), (high, below) = self.low, self.high
-        span, reach = math.log(high / low), self.close / 4
-        guess = low * math.exp(span * above / (above - below))
-        while reach < span:
-            for at in (guess * (1 - reach), guess * (1 + reach)):
-                if self.low[0] < at < self.high[0]:
-                    self._look(at)
-            if self.low[0] < guess < self.high[0]:  # it lies between two factors that were tried
-                break
-            reach *= 64
-        if math.log(self.high[0] / self.low[0]) > 0.5 * span:
-            self._look(math.sqrt(self.low[0] * self.high[0]))
+            self.high = min(self.high, at)
+            return min(math.log(max(t, 1e-300)), -1e-300)
+        self.low = max(self.low, at)
+        return max(math.log(max(t, 1.0)), 1e-300)
 
     def _prove(self) -> None:
         """Look for a factor that is refuted: one that is neither lies between it and those accepted."""
-        step = self.close
-        while self.proved < self.low[0] * (1 - step):
-            if self.judge(self.low[0] * (1 - step)).refuted:
-                self.proved = self.low[0] * (1 - step)
+        step, low = self.close, math.exp(self.low)
+        while self.proved < low * (1 - step):
+            if self.judge(low * (1 - step)).refuted:
+                self.proved = low * (1 - step)
                 return
             step = 4 * step if step < 0.25 else 0.5 * (1 + step)

@@ -16,8 +16,8 @@ from jaxbound.text.objects import readable
 
 __all__ = ["History", "TuneResult", "caught_of", "history_columns"]
 
-History: TypeAlias = list[tuple[int, float, float, np.ndarray]]
-"""(step, width, share of faulty windows outside, values (b,)) of each look at all windows."""
+History: TypeAlias = list[np.ndarray]
+"""(step, width, share of faulty windows outside, values ..), (3 + b,), of each look at all windows."""
 
 
 @readable
@@ -94,10 +94,6 @@ def caught_of(counts: Mapping[str, int] | None) -> float | None:
 
 def history_columns(history: History, count: int) -> dict[str, np.ndarray]:
     """Return a history of `count` bounds as arrays, see TuneResult."""
-    values = [each for *_, each in history]
-    return {
-        "step": np.array([step for step, *_ in history], int),
-        "width": np.array([width for _, width, *_ in history]),
-        "outside": np.array([outside for _, _, outside, _ in history]),
-        "values": np.array(values).reshape(len(history), count),
-    }
+    rows = np.array(history).reshape(-1, 3 + count)
+    step, width, outside = rows[:, :3].T
+    return {"step": step.astype(int), "width": width, "outside": outside, "values": rows[:, 3:]}

@@ -26,7 +26,7 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.sizes import power
-from jaxbound.studies.tuning.confidence import blocks_of, held_out, risk_of, touched
+from jaxbound.studies.tuning.confidence import Search, blocks_of, held_out, risk_of, touched
 from jaxbound.studies.tuning.descent import (
     BLOCK,
     RATE,
@@ -47,7 +47,7 @@ from jaxbound.studies.tuning.scaling import (
     smallest_scale,
     worst,
 )
-from jaxbound.studies.tuning.tune_result import History, TuneResult, history_columns
+from jaxbound.studies.tuning.tune_result import History, TuneResult
 from jaxbound.studies.tuning.widening import Smallest, concluded, stated_factor
 from jaxbound.text.progress import reporter
 
@@ -196,14 +196,14 @@ def tune(
     alone = len(moved.names) == 1
     good, bad = both_recordings(model, s, healthy, faulty)
     gone = good.without(s)
-    label, length = blocks_of(gone, s, block)
+    blocks = blocks_of(gone, s, block)
     if model.constant_tolerance and steps and not alone:
         raise NotImplementedError(
             "the margin of constant_tolerance comes from a search for the best gains, which has no "
             "derivative: tune with steps=0 scales all bounds by one factor, or those that bounds= names"
         )
-    for_scale = held_out(int(label.max(initial=-1)) + 1, 0 if alone else calibrate)
-    unseen = gone | touched(np.isin(label, np.flatnonzero(for_scale)), s)
+    for_scale = held_out(int(blocks.label.max(initial=-1)) + 1, 0 if alone else calibrate)
+    unseen = gone | touched(np.isin(blocks.label, np.flatnonzero(for_scale)), s)
     searching = partial(_Search, relations, moved, bad, safety, optimizer, steps, every)
     search = searching(good, unseen, state)
     if steps and not alone:
@@ -225,18 +225,10 @@ def tune(
         left = factors_left_out(relations, moved, good, direction)
     report(0.95)
     moved_kinds = {kind for kind, rows in moved.rows.items() if moved.select[rows].any()}
-    risk = risk_of(
-        factors(relations.with_bounds(moved.bounds(smallest)), good),
-        label,
-        length,
-        for_scale,
-        tuned=len(moved.names),
-        convex=moved_kinds <= {"noise", "disturbance"},
-        fixed=search.step == 0,
-        confidence=confidence,
-        safety=safety,
-        horizon=s,
-    )
+    convex = moved_kinds <= {"noise", "disturbance"}
+    needs = factors(relations.with_bounds(moved.bounds(smallest)), good)
+    found_by = Search(for_scale, len(moved.names), convex, search.step == 0)
+    risk = risk_of(needs, blocks, found_by, confidence, safety)
     scale = low * moved.total(search.best) / moved.total(moved.start)
     found = Smallest(smallest, scale, left, risk, search.history, search.step, search.stopped)
     result = concluded(relations, moved, found, safety, good, bad)
@@ -321,7 +313,8 @@ class _Search:
             score = -outside
         if (score, width) < self.score:
             self.best, self.score = values, (score, width)
-        self.history.append((self.step, width / self.moved.total(self.moved.start), outside, values * top))
+        relative = width / self.moved.total(self.moved.start)
+        self.history.append(np.array([self.step, relative, outside, *(values * top)]))
         return values
 
     def _factors(self, values: np.ndarray, recordings: JoinedRecordings) -> np.ndarray:
@@ -365,11 +358,8 @@ class _Search:
         if self.checkpoint is None:
             return
         arrays = {f"leaf{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(carry))}
-        arrays |= {
-            f"history_{name}": x for name, x in history_columns(self.history, len(self.moved.names)).items()
-        }
-        score = np.array(self.score)
-        self.checkpoint.save(step=self.step, best=self.best, score=score, ends=self.ends, **arrays)
+        arrays |= {"score": np.array(self.score), "history": np.array(self.history)}
+        self.checkpoint.save(step=self.step, best=self.best, ends=self.ends, **arrays)
 
     def _taken_up(self, carry: Carry) -> Carry:
         """Return the carry of the checkpoint, if there is one, and take over the rest of what it holds."""
@@ -379,9 +369,7 @@ class _Search:
         self.step, self.best, self.ends = int(arrays["step"]), arrays["best"], arrays["ends"]
         side, width = arrays["score"].tolist()
         self.score = side, width
-        columns = [arrays[f"history_{name}"] for name in ("step", "width", "outside", "values")]
-        for step, relative, outside, values in zip(*columns, strict=True):
-            self.history.append((int(step), float(relative), float(outside), values))
+        self.history = list(arrays["history"])
         leaves, tree = jax.tree.flatten(carry)
         kept: Carry = jax.tree.unflatten(tree, [jnp.asarray(arrays[f"leaf{i}"]) for i in range(len(leaves))])
         return kept

@@ -7,7 +7,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.recordings.factors import read_factor
 from jaxbound.sets.floats.status import Status
-from jaxbound.studies.identification.following import Leverage
+from jaxbound.studies.identification.following import leverage_text
 
 NO_STARTS = np.zeros(0, int)
 
@@ -22,8 +22,8 @@ def test_the_text_is_the_quadratic_form_of_the_inverse_covariance(rng):
     mixed = np.array([[2.0, 0.3, 0], [0.5, 40.0, 0], [0, 0, 0]])
     u = rng.normal(size=(400, 3)) @ mixed + [5.0, -300.0, 7.0]
     record = u, rng.normal(size=(400, 1)), NO_STARTS
-    leverage = Leverage.of([record], ("fan", "room air", "still"), ("fan", "room air", "still"))
-    written = read_factor(leverage.text(0.3))
+    names = ("fan", "room air", "still")
+    written = read_factor(leverage_text([record], names, names, 0.3))
     assert set(written.columns) == {"fan", "room air"}
     moving = u[:, :2]
     off = moving - moving.mean(0)

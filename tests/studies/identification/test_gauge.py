@@ -31,17 +31,6 @@ def test_the_best_approximation_is_that_of_a_linear_program(unknown, rng):
     np.testing.assert_allclose(best_approximations(r, free), expected, rtol=1e-7)
 
 
-def test_a_search_that_decides_is_right_about_each_row(rng):
-    free, _ = np.linalg.qr(rng.normal(size=(20, 3)))
-    r = rng.normal(size=(40, 20))
-    expected = np.array([by_program(row, free) for row in r])
-    level = float(np.median(expected)) * 1.001
-    for decide in (False, True):
-        np.testing.assert_array_equal(best_approximations(r, free, level, decide) > level, expected > level)
-    above = expected > level
-    np.testing.assert_allclose(best_approximations(r, free, level)[above], expected[above], rtol=1e-7)
-
-
 def test_a_window_that_speaks_against_bounds_is_found(rng):
     u, y = rng.normal(size=(40, 1)), rng.normal(size=(40, 2))
     record = (u, y, np.zeros(0, int))

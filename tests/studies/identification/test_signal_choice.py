@@ -9,9 +9,9 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.cli.fit_summary import plain_fit
+from jaxbound.cli.fit_summary import FitConclusion
 from jaxbound.recordings.expressions import expression
-from jaxbound.studies.identification import structure
+from jaxbound.studies.identification import orders
 from jaxbound.studies.identification.recipe import Recipe
 from jaxbound.studies.identification.signal_choice import SignalProblem, chosen_signals, products
 from jaxbound.studies.identification.training import Training
@@ -85,7 +85,7 @@ def test_inputs_of_a_linear_plant_stay_as_given():
 
 def test_the_order_of_inputs_that_stay_is_chosen_once(monkeypatch):
     rng, calls = np.random.default_rng(9), []
-    monkeypatch.setattr(structure, "_first_good", lambda found: calls.append(found) or 1)
+    monkeypatch.setattr(orders, "_first_good", lambda found: calls.append(found) or 1)
     tables = [recorded(rng, 0.0), recorded(rng, 0.0)]
     model = jb.fit(tables, columns=COLUMNS, signals="auto", **(ABOUT | {"order": "auto"}))
     assert (model.inputs, model.check.order, len(calls)) == (("valve", "lift"), 1, 1)
@@ -152,7 +152,7 @@ def test_the_command_writes_the_choice_and_shows_what_was_tried(tables, tmp_path
 
 
 def test_json_has_every_set_that_was_tried(model):
-    found = plain(plain_fit(model, ["a.csv", "b.csv"], "m.toml", []))
+    found = plain(FitConclusion(model, ["a.csv", "b.csv"], written=["m.toml"]).plain())
     assert found["inputs"] == ["valve", "lift", "valve*lift"]
     assert len(found["signals"]) == len(model.check.signals)
     assert sum(one["taken"] for one in found["signals"]) == 2

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.studies.identification.structure import acting_otherwise, chained, delayed
+from jaxbound.studies.identification.orders import acting_otherwise
+from jaxbound.studies.identification.structure import chained, delayed
 
 POLES = {1: [0.85], 2: [1.5, -0.7]}
 ACTS = {1: [1.0], 2: [0.5, 0.3]}

@@ -6,6 +6,8 @@ from scipy.stats import binom
 
 import jaxbound as jb
 from jaxbound.studies.tuning.confidence import (
+    Blocks,
+    Search,
     blocks_of,
     distribution_band,
     held_out,
@@ -47,7 +49,7 @@ def test_rank_and_rate_hold_and_are_sharp(rng):
 def test_blocks_share_no_sample_and_lie_within_runs(rng):
     s, across = 3, np.ones(200, bool)
     across[3:60], across[63:64], across[70:200] = False, False, False
-    label, length = blocks_of(across, s, 7)
+    label, length, _ = blocks_of(across, s, 7)
     assert length == 7 and not across[label >= 0].any()
     samples = [
         set(np.concatenate([np.arange(e - s, e + 1) for e in np.flatnonzero(label == b)]))
@@ -73,19 +75,17 @@ def test_statement_says_what_it_rests_on(rng):
     )
     assert "1/31 = 3.23 %" in found.text and "safety factor 1.3 comes on top and is not counted" in found.text
     assert found.factors.shape == (30,) and found.factors.max() <= 1
-    bare = dict(
-        factors=np.ones(40), label=np.arange(40) // 4, length=4, confidence=0.95, safety=1.0, horizon=1
-    )
-    guide = risk_of(**bare, kept=np.zeros(10, bool), tuned=2, convex=True, fixed=False)
+    bare = np.ones(40), Blocks(np.arange(40) // 4, 4, 1)
+    guide = risk_of(*bare, Search(np.zeros(10, bool), 2, True, False), 0.95, 1.0)
     assert (
         guide.guide
         and guide.average == 2 / 11
         and guide.rate == scenario_bound(10, 2, 0.95)
         and "no guarantee" in guide.text
     )
-    none = risk_of(**bare, kept=np.zeros(10, bool), tuned=2, convex=False, fixed=False)
+    none = risk_of(*bare, Search(np.zeros(10, bool), 2, False, False), 0.95, 1.0)
     assert none.average is None and none.text.startswith("Nothing can be said")
-    some = risk_of(**bare, kept=held_out(10, 0.5), tuned=2, convex=False, fixed=False)
+    some = risk_of(*bare, Search(held_out(10, 0.5), 2, False, False), 0.95, 1.0)
     assert some.blocks == 5 and some.average == 1 / 6
 
 
