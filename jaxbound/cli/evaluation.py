@@ -134,10 +134,10 @@ def evaluate(
             margins=options.margins,
             outside=options.outside,
         )
-        sinks = open_sinks(work)
-        for sink in sinks:
-            sink.add(recording, res)
-        step("test", 1.0)
+    sinks = open_sinks(work)
+    for sink in sinks:
+        sink.add(recording, res)
+    step("test", 1.0)
     alarms = res.alarms(rule=run.alarm)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     outcome = _outcome(run, res, alarms, recording.label, (stated, tested), content)

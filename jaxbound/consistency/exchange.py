@@ -155,7 +155,8 @@ class ExchangeTest(SignedTest):
             ((found[part],),) = self._holes.judge(None, [windows])
         found = np.where(found == 0, margin[at], found)
         open_ = found == 0
-        found[open_] = self.exactly(u, y, left[open_])
+        if open_.any():
+            found[open_] = self.exactly(u, y, left[open_])
         margin[at] = found
 
     def margins(self, given: Recording) -> jax.Array:

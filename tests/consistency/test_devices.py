@@ -16,6 +16,8 @@ import pytest
 from jaxbound.consistency import devices
 from jaxbound.sets.floats.probe import usable_devices
 
+pytestmark = pytest.mark.compiled
+
 
 def on_eight_devices(block, samples, counts, cases):
     """Return what devices_case.py prints in a process with 8 virtual devices, of which it uses so many."""

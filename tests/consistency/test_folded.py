@@ -115,6 +115,7 @@ def test_numbers_that_overflow_prove_nothing_wrong(dtype, rng):
     assert {-1, 0, 1} <= signs
 
 
+@pytest.mark.compiled
 def test_wide_vectors_give_the_same_bits(rng):
     """Alone for the widest vectors, within another program as XLA likes: margins are the same."""
     reading = jb.parity_relations(paper()).reading(np.float64)

@@ -291,9 +291,7 @@ class TestDoor:
 def place(tmp_path, monkeypatch, case):
     """Return a folder with model.toml and the recording run, in which commands run."""
     monkeypatch.setattr(main, "_configure", lambda: None)
-    monkeypatch.setattr(
-        evaluation, "write_report", lambda work, *args, **options: (work / "report.html").touch()
-    )
+    monkeypatch.setattr(evaluation, "write_report", lambda file, *args, **options: file.touch())
     monkeypatch.chdir(tmp_path)
     jb.save_model(paper(), tmp_path / "model.toml")
     (tmp_path / "run").symlink_to(case("section 5")[1])

@@ -27,7 +27,7 @@ from jaxbound.runs.streaming import Asked, publish, write_parts
 from jaxbound.runs.summary import evidence
 from jaxbound.runs.verdictfiles import AlarmColumns, write_alarms
 
-pytestmark = pytest.mark.compiled
+pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("many")]
 
 
 def flip(path, at):

@@ -63,6 +63,7 @@ def verbs():
     }
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     "verb",
     ["inclusion", "pave", *(pytest.param(v, marks=pytest.mark.long) for v in ("linearize", "residual"))],

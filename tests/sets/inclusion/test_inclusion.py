@@ -74,6 +74,7 @@ BRIEF = [
 LIGHT = [pytest.param(c, marks=pytest.mark.long) if c.name in HEAVY else c for c in CASES]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("case", LIGHT, ids=str)
 def test_natural_holds_the_range(case, rng):
     check(case, inclusion(case.f)(box_of(case)), rng)

@@ -97,6 +97,7 @@ HEAVY = (
 )
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.long) if n in HEAVY else n for n in PROGRAMS]
 )

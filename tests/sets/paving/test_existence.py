@@ -13,6 +13,8 @@ import jaxbound as jb
 from jaxbound.sets import Status, interval
 from jaxbound.sets.paving import existence
 
+pytestmark = pytest.mark.compiled
+
 
 def exactly(a):
     return [[Fraction(float(x)) for x in row] for row in a]

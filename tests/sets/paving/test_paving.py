@@ -14,6 +14,8 @@ from jaxbound import sets
 from jaxbound.sets import Status, interval
 from jaxbound.sets.intervals.interval import Interval
 
+pytestmark = pytest.mark.compiled
+
 LO, HI = (-1, 1), (2, 3)  # the box of Adrot 2000, figure 1
 
 

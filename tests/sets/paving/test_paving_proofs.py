@@ -14,6 +14,8 @@ import jaxbound as jb
 from jaxbound import sets
 from jaxbound.sets import Status, interval
 
+pytestmark = pytest.mark.compiled
+
 LO, HI = (-1, 1), (2, 3)
 
 
