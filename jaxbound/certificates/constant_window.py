@@ -18,7 +18,7 @@ from typing import ClassVar, NamedTuple
 
 from jaxbound.certificates.exact_window import Ends, ExactWindow, Explanation, readable_relation
 from jaxbound.exact.chebyshev import Reference, chebyshev
-from jaxbound.exact.linalg import Vector, dot, scale
+from jaxbound.exact.linalg import Vector, scale
 
 __all__ = ["ConstantWindow"]
 
@@ -72,7 +72,7 @@ class ConstantWindow(ExactWindow):
                 continue
             i, (lo, hi) = j % p, ends
             # 0 <= E z + K U - g lo and 0 <= g hi - E z - K U: each is at most 2 reach
-            reach = (hi - lo) / 2 * self._gain_ends(i)[1]
+            reach = (hi - lo) / 2 * self.gain_ends(i)[1]
             for sign, value in ((1, -lo), (-1, hi)):
                 middle = reach - sign * self.drive[j]
                 if i not in self.free:
@@ -83,28 +83,9 @@ class ConstantWindow(ExactWindow):
             lo, hi = self.known_limits(j)
             yield _Side(j, 1, (*unknowns[j], *none), (lo + hi) / 2 - self.drive[j], (hi - lo) / 2)
         for i in self.free:
-            lo, hi = self._gain_ends(i)
+            lo, hi = self.gain_ends(i)
             row = (*scale(unknowns[0], 0), *(ONE * (i == other) for other in self.free))
             yield _Side(0, 0, row, (lo + hi) / 2, (hi - lo) / 2)
-
-    def relation(self, h: Sequence[Fraction]) -> tuple[Vector, Fraction, Fraction]:
-        """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample, under
-        any gains.
-        """
-        p = self.model.p
-        low, high = [ZERO] * (p + 1), [ZERO] * (p + 1)  # of each output at gain 1, then of all other rows
-        for number, x in enumerate(h):
-            if x:
-                ends = [x * end for end in self.known_limits(number)]
-                i = p
-                if number < len(self.y):
-                    i = number % p
-                low[i], high[i] = low[i] + min(ends), high[i] + max(ends)
-        for i in range(p):  # linear in the gain, so extreme at its ends
-            least, most = self._gain_ends(i)
-            low[i], high[i] = min(least * low[i], most * low[i]), max(least * high[i], most * high[i])
-        least, most = sum(low, ZERO), sum(high, ZERO)
-        return self.action(h), (least + most) / 2 - dot(h, self.drive), (most - least) / 2
 
     def rows_at(self, z: Sequence[Fraction]) -> Vector:
         """Return the true (Y, w) at unknowns (z, gains)."""
@@ -128,11 +109,7 @@ class ConstantWindow(ExactWindow):
     def explained_by(self, z: Sequence[Fraction]) -> bool:
         """Return True if unknowns (z, gains) keep every row and gain within its limits."""
         for i, g in enumerate(self.gains(z)):
-            lo, hi = self._gain_ends(i)
+            lo, hi = self.gain_ends(i)
             if not lo <= g <= hi:
                 return False
         return super().explained_by(z)
-
-    def _gain_ends(self, i: int) -> Ends:
-        """Return (lo, hi) of 1 / (1 + theta)."""
-        return 1 / (1 + self.tolerance[i]), 1 / (1 - self.tolerance[i])

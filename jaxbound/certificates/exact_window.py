@@ -40,7 +40,7 @@ __all__ = """
     rounded_witness shorter stretched unstretched window_of
 """.split()
 
-ZERO = Fraction(0)
+ZERO, ONE = Fraction(0), Fraction(1)
 DIGITS = (4, 8, 12, 17)
 """Of numbers that are rounded for readers, as few as will do."""
 LARGEST = Fraction(10**300)
@@ -223,20 +223,40 @@ class ExactWindow:
                 rows.append(row)
         return linalg.multiply(linalg.transpose(rows), weights) or (ZERO,) * len(self.u)
 
+    def gain_ends(self, number: int) -> Ends:
+        """Return (lo, hi) of 1 / (1 + theta) of a reading whose theta keeps its value, which its limits leave
+        out; else (1, 1).
+        """
+        if not self.constant or number >= len(self.y):
+            return ONE, ONE
+        sigma = self.claim["tolerance"][number % self.model.p]
+        return 1 / (1 + sigma), 1 / (1 - sigma)
+
+    def reach(self, h: Sequence[Fraction]) -> Ends:
+        """Return (lo, hi) of h (Y, w) within the limits, under any gains."""
+        sums: dict[int, Ends] = {}  # of the rows of each gain: linear in it, so extreme at its ends
+        for number, x in enumerate(h):
+            if x:
+                own = len(self.y)
+                if number < own:
+                    own = number % self.model.p
+                lo, hi = sums.get(own, (ZERO, ZERO))
+                ends = [x * end for end in self.known_limits(number)]
+                sums[own] = lo + min(ends), hi + max(ends)
+        scaled = [_times(ends, self.gain_ends(own)) for own, ends in sums.items()]
+        return sum((lo for lo, _ in scaled), ZERO), sum((hi for _, hi in scaled), ZERO)
+
+    def true_limits(self, number: int) -> Ends:
+        """Return (lo, hi) of a row that has its samples, under any gain."""
+        return _times(self.known_limits(number), self.gain_ends(number))
+
     def relation(self, h: Sequence[Fraction]) -> tuple[Vector, Fraction, Fraction]:
         """Return (k, residual, width) of a relation h that annihilates E and needs no missing sample.
 
-        h (Y, w) - k U is residual -+ width within the limits: their middles, and |h| times their half-widths.
+        h (Y, w) - k U is residual -+ width within the limits.
         """
-        weights, sums, widths = [], [], []
-        for number, x in enumerate(h):
-            if x:
-                lo, hi = self.known_limits(number)
-                weights.append(x)
-                sums.append(lo + hi)
-                widths.append(hi - lo)
-        residual = dot(weights, sums) / 2 - dot(h, self.drive)
-        return self.action(h), residual, dot(map(abs, weights), widths) / 2
+        lo, hi = self.reach(h)
+        return self.action(h), (lo + hi) / 2 - dot(h, self.drive), (hi - lo) / 2
 
     def rows_at(self, z: Sequence[Fraction]) -> Vector:
         """Return the true (Y, w) = E z + K U, in deviations, at unknowns z = (x, w, v, missing inputs)."""
@@ -261,6 +281,11 @@ class ExactWindow:
             if ends is not None and not ends[0] <= v <= ends[1]:
                 return False
         return True
+
+
+def _times(ends: Ends, gain: Ends) -> Ends:
+    """Return (lo, hi) of a number between ends times a gain > 0."""
+    return min(ends[0] * g for g in gain), max(ends[1] * g for g in gain)
 
 
 def stretched(v: Fraction, sigma: Fraction) -> Fraction:

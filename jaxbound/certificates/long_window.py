@@ -121,13 +121,12 @@ class LongWindow(ExactWindow):
             raise ValueError("the relation leaves the first state over")
         if any(left.unknown):
             raise ValueError("the relation leaves an unknown input over")
-        used = [(x, self.known_limits(i)) for i, x in enumerate(h) if x]
-        if self.first is not None:
-            used += [(-x, ends) for x, ends in zip(left.first, self.first, strict=True) if x]  # 0 = q + x
-        weights = [x for x, _ in used]
-        sums, widths = [lo + hi for _, (lo, hi) in used], [hi - lo for _, (lo, hi) in used]
-        residual = dot(weights, sums) / 2 - dot(left.inputs, known_inputs(self.model, self.u))
-        return left.inputs, residual, dot(map(abs, weights), widths) / 2
+        lo, hi = self.reach(h)
+        if self.first is not None:  # 0 = q + x
+            for x, ends in zip(left.first, self.first, strict=True):
+                lo, hi = lo + min(-x * end for end in ends), hi + max(-x * end for end in ends)
+        residual = (lo + hi) / 2 - dot(left.inputs, known_inputs(self.model, self.u))
+        return left.inputs, residual, (hi - lo) / 2
 
     def multipliers(self) -> Vector:
         """Return about the multipliers of the outputs that are violated most; exact ones that leave nothing
@@ -247,7 +246,7 @@ def _program(window: LongWindow) -> tuple[float, np.ndarray]:
     moves = hstack([steps, kron(eye_array(s, s + 1), F), *pushed, csr_array((s * n, 1))])
 
     there = [i for i, ends in enumerate(window.limits[: (s + 1) * m.p]) if ends is not None]
-    mid, rad = _middles([window.known_limits(i) for i in there])
+    mid, rad = _middles([window.true_limits(i) for i in there])
     seen = hstack([kron(every, C), kron(every, D_v), csr_array(((s + 1) * m.p, g))]).tocsr()[there]
     first_mid, first_rad = _middles(window.first or ())
     first = eye_array(len(first_mid), free + g)

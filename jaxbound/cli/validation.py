@@ -2,7 +2,6 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -23,9 +22,6 @@ from jaxbound.runs.runfile import VALIDATION
 from jaxbound.runs.sink import Outcome
 from jaxbound.runs.sinks import close_all, open_sinks
 from jaxbound.runs.summary import summarised
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["evaluate_validation"]
 

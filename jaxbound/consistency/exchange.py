@@ -141,23 +141,18 @@ class ExchangeTest(SignedTest):
 
     def settle(self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, progress: Progress) -> None:
         """Decide in whole numbers what rounding leaves open far from the boundary, and in NumPy what the
-        search does.
+        search does: as where all windows are searched there.
         """
         (margin,) = outs
         self._whole_numbers(u, y, margin)
-        if is_outside_xla():  # all came to NumPy's search first
-            left = np.flatnonzero(margin == 0) - self.horizon
-            left = left[~self._lacking(u, y, left)]
-        at, found = left + self.horizon, np.zeros(len(left), self.dtype)
-        for first in range(0, len(left), TOGETHER):
-            part = slice(first, first + TOGETHER)
-            windows = gather(u, y, left[part], self.lags, self.horizon)
-            ((found[part],),) = self._holes.judge(None, [windows])
-        found = np.where(found == 0, margin[at], found)
-        open_ = found == 0
-        if open_.any():
-            found[open_] = self.exactly(u, y, left[open_])
-        margin[at] = found
+        if is_outside_xla():
+            return
+        open_ = np.flatnonzero(margin == 0) - self.horizon
+        open_ = open_[~self._lacking(u, y, open_)]
+        for first in range(0, len(open_), TOGETHER):
+            starts = open_[first : first + TOGETHER]
+            windows = gather(u, y, starts, self.lags, self.horizon)
+            ((margin[starts + self.horizon],),) = self._holes.judge(None, [windows])
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""

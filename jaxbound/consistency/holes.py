@@ -79,7 +79,7 @@ class HolesTest(SignedTest):
         frame, (c, k) = self.relations.frame, image.R.shape
         assert frame is not None
         width = k + image.most
-        size = max(1, HELD // ((c + width) * width))
+        size = max(1, HELD // max(1, (c + width) * width))
         parts = [np.arange(i, min(i + size, y.shape[2])) for i in range(0, y.shape[2], size)]
         return np.concatenate([self.decided(image.of_windows(part), frame, y.dtype) for part in parts])
 

@@ -12,12 +12,13 @@ from typing import cast
 
 import numpy as np
 
+from jaxbound.consistency.drive import windows
 from jaxbound.consistency.interface import METHODS, Relations
 from jaxbound.consistency.monitorbank import YES, MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
-from jaxbound.diagnosis.measuring import judged_at
 from jaxbound.diagnosis.suspects import nameless
 from jaxbound.recordings.recording import NOWHERE, Recording
+from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.status import Status
 
 __all__ = ["Severity", "fitted"]
@@ -84,7 +85,10 @@ class Severity:
                 break
             test = relations.test(self.method, y.dtype)
             assert not test.remembers, "an observer was refused"
-            counts[at] = judged_at(test, u, y, at).status == Status.FAULT
+            first, samples = _around(at, relations.horizon)
+            with sparing():
+                judged = windows(test, u[samples], y[samples], first[1:])
+            counts[at] = judged.status[np.searchsorted(samples, at)] == Status.FAULT
         return counts
 
 
@@ -121,3 +125,14 @@ def fitted(rule: AlarmRule, relations: Relations) -> AlarmRule:
     if isinstance(rule.least, Mapping):
         Severity(relations, "joint", rule.least)
     return rule
+
+
+def _around(at: np.ndarray, horizon: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return (where stretches of samples begin, the samples that windows at `at` need, each once)."""
+    begins = at - horizon
+    apart = np.flatnonzero(begins[1:] > at[:-1]) + 1  # windows that share no sample with those before
+    starts = np.concatenate([begins[:1], begins[apart]])
+    stops = np.concatenate([at[apart - 1], at[-1:]]) + 1
+    lengths = stops - starts
+    samples = np.arange(lengths.sum()) + np.repeat(starts - np.cumsum(lengths) + lengths, lengths)
+    return np.cumsum(lengths) - lengths, samples

@@ -71,8 +71,9 @@ def _scaled(margin: np.ndarray) -> np.ndarray:
 
 def _ticks(lowest: float) -> list[float]:
     """Return the margins at which the axis has a tick; lowest: scaled."""
-    powers = [-(10.0**n) for n in range(int(-lowest))]
-    return [1.0, 0.5, 0.0, *powers[:: 1 + len(powers) // TICKS]]
+    steps = [-(10.0**n) * k for n in range(int(-lowest) + 1) for k in (1, 2, 5)]
+    steps = [x for x in steps if _scaled(x) >= lowest]
+    return [1.0, 0.5, 0.0, *steps[:: 1 + len(steps) // TICKS]]
 
 
 def _path(x: np.ndarray, y: np.ndarray) -> str:

@@ -124,3 +124,17 @@ def test_every_contradiction_of_an_observer_is_proved_by_samples_since_it_began(
     unsure = PLANT.replace(uncertainties=[jb.Uncertainty("a", A=[["0.01", 0], [0, 0]])])
     res = jb.detect(jb.observer(unsure), np.ones((4, 1)), [[20.0], [20.0], [20.0], [25.0]])
     assert res.status[3] == jb.Status.FAULT and type(res.explain(3)).__name__ == "UncertainCertificate"
+
+
+def test_gains_that_keep_their_value_are_no_contradiction_and_one_of_them_is_confirmed():
+    sensors = dict(tolerance=["1/5"] * 2, noise=["1/100"] * 2, constant_tolerance=True)
+    plant = jb.LinearSystem([["9/10"]], [[1]], [[1], [1]], **sensors)
+    u, x = np.ones((13, 1)), 10 - 5 * 0.9 ** np.arange(13)
+    healthy = np.stack([1.15 * x, 0.9 * x], 1)
+    about = stretch(plant, 12)
+    assert exceeds(about, u, healthy) < 1
+    with pytest.raises(NotImplementedError, match="no relation of these 13 samples"):
+        certify(about, u, healthy)
+    apart = np.stack([1.9 * x, 0.9 * x], 1)
+    document = json.loads(certify(about, u, apart).to_json())
+    confirm(document)

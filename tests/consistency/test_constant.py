@@ -208,3 +208,15 @@ def test_a_model_file_keeps_the_field(tmp_path):
         m = paper(constant_tolerance=value)
         jb.save_model(m, tmp_path / "m.toml")
         assert jb.load_model(tmp_path / "m.toml").constant_tolerance is value
+
+
+def test_a_plant_without_states_is_judged():
+    tank = jb.LinearSystem(
+        None, None, None, [[2], [1]], tolerance=["1/10", 0], noise=0.1, constant_tolerance=True
+    )
+    u = np.arange(1.0, 9)[:, None]
+    y = np.hstack([2 * u, u])
+    y[5, 0] += 8
+    for method, healthy in (("joint", jb.Status.CONSISTENT), ("box", jb.Status.UNDECIDED)):
+        status = jb.detect(jb.parity_relations(tank, 1), u, y, method=method).status
+        assert (status[5:7] == jb.Status.FAULT).all() and (status[[1, 2, 3, 4, 7]] == healthy).all()

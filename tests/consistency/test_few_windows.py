@@ -29,7 +29,7 @@ def compiled():
 
 
 BY_DAY = "short", "averages", "constant tolerance"
-CASES = [(name, np.float64) for name in BY_DAY] + [("short", np.float32)]
+CASES = [(name, np.float64) for name in BY_DAY] + [("short", np.float32), ("averages", np.float32)]
 BY_NIGHT = [(name, dtype) for name in FAMILIES for dtype in (np.float64, np.float32)]
 
 

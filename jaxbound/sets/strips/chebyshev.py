@@ -199,8 +199,9 @@ def fitted(
     # what no row tells stays where it is
     whole.there[:, c:] |= free & (telling < 0)
     idle = whole.begun()
-    _exchanged(whole, np.flatnonzero(~idle))
-    whole.polished()
+    if q:  # else there is nothing to exchange
+        _exchanged(whole, np.flatnonzero(~idle))
+        whole.polished()
     T, t, _, x = whole.reference()
     h = np.zeros((N, c + q))
     np.put_along_axis(h, whole.S, -T, 1)

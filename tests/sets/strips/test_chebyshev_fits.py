@@ -54,3 +54,9 @@ def test_unknowns_that_rows_do_not_tell_apart_are_not_told_by_rounding(rng):
     b = np.concatenate([rng.normal(size=(50, 12)), np.zeros((50, 20))], 1)
     fit = fitted(F, b, np.ones((50, 32)), all_rows, np.ones((50, 20), bool), 1e-9)
     assert not fit.idle.any() and ((fit.telling >= 0).sum(1) == 2).all()
+
+
+def test_rows_without_unknowns_are_as_far_off_as_the_worst_of_them():
+    values, radius = np.array([[1.0, -6, 2]]), np.array([[1.0, 2, 4]])
+    there, free = np.ones((1, 3), bool), np.ones((1, 0), bool)
+    assert fitted(np.zeros((1, 3, 0)), values, radius, there, free, 0.0).t == [3]
