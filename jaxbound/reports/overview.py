@@ -72,7 +72,7 @@ def _scaled(margin: np.ndarray) -> np.ndarray:
 def _ticks(lowest: float) -> list[float]:
     """Return the margins at which the axis has a tick; lowest: scaled."""
     steps = [-(10.0**n) * k for n in range(int(-lowest) + 1) for k in (1, 2, 5)]
-    steps = [x for x in steps if _scaled(x) >= lowest]
+    steps = [x for x in steps if _scaled(np.array(x)) >= lowest]
     return [1.0, 0.5, 0.0, *steps[:: 1 + len(steps) // TICKS]]
 
 

@@ -200,6 +200,7 @@ def test_verdicts_are_sharp(dtype, step, rng):
     assert found > 0.99
 
 
+@pytest.mark.compiled
 def test_verdicts_do_not_depend_on_the_block_or_the_position_in_it(rng):
     r, samples = jb.parity_relations(paper(), 20), 3000
     u = rng.uniform(-1, 1, (samples, 1))

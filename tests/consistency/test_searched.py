@@ -20,6 +20,8 @@ from jaxbound.sets.floats import kernel, probe
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 
+pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("many")]
+
 OBSERVERS = "observer", "joint"
 FAMILIES = RELATIONS | {
     "disturbed": lambda: jb.parity_relations(DISTURBED, 12),

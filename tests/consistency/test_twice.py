@@ -15,6 +15,8 @@ from jaxbound.consistency.twice import Doubtful
 from jaxbound.sets.floats import kernel
 from jaxbound.sets.floats.status import Status
 
+pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("many")]
+
 SHAKY = [jb.Uncertainty("a", A=[["0.02", 0], [0, "0.01"]])]
 RELATIONS = {
     "strips": lambda: jb.parity_relations(paper()),

@@ -262,7 +262,7 @@ def test_half_of_a_bound_times_two_is_the_bound():
         np.testing.assert_array_equal(one.status, other.status)
         k = int(np.nanargmin(one.margin))
         assert one.explain(k).factor == other.explain(k).factor
-    assert other.explain(k).window.noise == (Fraction(1, 4),)
+    assert tuple(other.explain(k).window.claim["noise"]) == (Fraction(1, 4),)
 
 
 def test_what_a_vanishing_disturbance_adds_to_noise_is_not_times_a_factor():

@@ -14,6 +14,8 @@ from jaxbound.consistency import interface
 from jaxbound.diagnosis import measuring
 from jaxbound.sets.floats.status import Status
 
+pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("many")]
+
 T = 260
 GUST = MODELS["paper"] | dict(disturbance=([[0], [1]], 0.05))
 LONG = {
