@@ -1,5 +1,5 @@
-"""What runs by night: behind a run of the suite, `.ci/night.py [seconds]` adds to `tests/by_night.txt` what took
-more of the processor there, but for the quickest case of each test.
+"""What runs by night: behind a run of the suite, `.ci/night.py [seconds]` adds to `tests/by_night.txt` what
+took more of the processor there, but for the quickest case of each test.
 """
 
 import json
