@@ -110,7 +110,7 @@ EXAMPLES = {
             "healthy_1.csv": "10 minutes at 3 s: heaters Q1, Q2 in %, temperatures T1, T2 in degC",
             "healthy_2.csv": "the same on another day",
             "healthy_3.csv": "and another one, kept for the test",
-            "jump.csv": f"healthy_3.csv with {JUMP:g} degC added to T1 from sample {ONSET} ({3 * ONSET} s) on",
+            "jump.csv": f"healthy_3.csv with {JUMP:g} degC added to T1 from row {ONSET} ({3 * ONSET} s) on",
             "units.csv": "two units for jaxbound fleet, with the model that jaxbound fit is to write",
             "truth.toml": "the model that made them, with the bounds within which everything was drawn",
         },

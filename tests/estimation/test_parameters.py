@@ -239,6 +239,7 @@ def test_a_bias_of_a_sensor_leaves_none_though_each_window_alone_is_explained(rn
     assert found.status == "FAULT" and (each == jb.Status.FAULT).mean() < 0.5
 
 
+@pytest.mark.compiled
 def test_what_numpy_does_not_confirm_is_kept(rng, monkeypatch):
     plant = "pole and gain"
     values = drawn(plant, rng)
