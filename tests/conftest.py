@@ -79,16 +79,21 @@ def pytest_runtest_makereport(item, call):
         item.user_properties.append(("seconds", round(_spent() - item.stash[BEGUN], 2)))
 
 
+SECONDS: dict[str, float] = {}
+
+
+def pytest_runtest_logreport(report):
+    """Collect what tests took, of all workers."""
+    if report.when == "teardown":
+        SECONDS[report.nodeid] = dict(report.user_properties).get("seconds", 0)
+
+
 def pytest_terminal_summary(terminalreporter, config):
     """Show how much of the processor the tests of each room took, and keep it beside pytest's own cache."""
-    reports = [
-        r for found in terminalreporter.stats.values() for r in found if getattr(r, "when", "") == "teardown"
-    ]
-    seconds = {report.nodeid: dict(report.user_properties).get("seconds", 0) for report in reports}
     if hasattr(config, "cache"):
-        config.cache.set("seconds", seconds)
+        config.cache.set("seconds", SECONDS)
     rooms = {}
-    for name, taken in seconds.items():
+    for name, taken in SECONDS.items():
         rooms.setdefault("/".join(name.split("::")[0].split("/")[:-1]), []).append(taken)
     terminalreporter.write_line("CPU seconds, tests, and what the longest one took:")
     for room, taken in sorted(rooms.items(), key=lambda item: -sum(item[1])):

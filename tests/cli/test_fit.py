@@ -227,6 +227,9 @@ def test_units_of_columns_reach_the_model_and_its_report(tmp_path, monkeypatch, 
     assert "degC" in (tmp_path / "out/report.html").read_text()
 
 
+@pytest.mark.long(
+    by_day="studies/identification/test_fitting::test_bounds_are_those_at_which_it_follows_every_recording"
+)
 def test_bounds_for_an_observer(place, capsys):
     at = FIT.index("--horizon")
     command = [*FIT[:at], *FIT[at + 2 :], "--observer", "zonotope", "--method", "least squares"]

@@ -177,6 +177,7 @@ def test_parts_carry_on_and_are_made_again_where_they_are_lost(place, capsys, mo
         streaming.write_parts(streaming.Asked(observer, "observer"), source, place / "shared", part=(1, 2))
 
 
+@pytest.mark.long(by_day="test_parts_carry_on_and_are_made_again_where_they_are_lost")
 def test_parts_with_an_observer_of_their_own_can_be_shared_and_say_what_one_says_that_begins_there(
     place, capsys, monkeypatch
 ):
@@ -206,6 +207,7 @@ def test_parts_with_an_observer_of_their_own_can_be_shared_and_say_what_one_says
 JOINT = "--observer", "joint", "--span", "8"
 
 
+@pytest.mark.long(by_day="test_a_pipe_says_what_the_file_says_and_goes_on_behind_a_kill")
 def test_windows_that_remember_say_the_same_in_memory_in_parts_through_a_pipe_and_in_a_fleet(
     place, capsysbinary, monkeypatch
 ):

@@ -142,6 +142,7 @@ def test_parts_are_weighed_and_the_verdict_is_the_worst(rng):
     np.testing.assert_array_equal(out.state.lo, np.concatenate([first.state.lo, second.state.lo], -1))
 
 
+@pytest.mark.long(by_day="test_parts_are_weighed_and_the_verdict_is_the_worst")
 def test_two_small_models(rng):
     """One compiled shape for all claims: fault-free, located, found too when the sensor is lost, weights that
     are less certain.

@@ -135,6 +135,7 @@ def test_sizes_that_an_observer_sees_grow_with_the_stated_factor():
             jb.detectable(watched, "y1", method="observer")
 
 
+@pytest.mark.long(by_day="test_sizes_that_an_observer_sees_grow_with_the_stated_factor")
 def test_fit_and_tune_find_bounds_of_an_observer_that_follow(rng):
     u = rng.uniform(-1, 1, (160, 1))
     x, y = 0.0, np.zeros((160, 1))

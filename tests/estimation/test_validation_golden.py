@@ -50,6 +50,7 @@ def recordings(window):
     return u, y
 
 
+@pytest.mark.long(by_day="test_the_four_systems_of_the_golden_window_are_as_wide_as_recomputed")
 def test_validation_of_the_golden_window_is_as_wide_as_recomputed(golden):
     window = golden["p4_golden_window"]
     u, y = recordings(window)
@@ -76,6 +77,7 @@ def test_a_fault_in_the_golden_window_is_found_as_recomputed(golden):
         assert found.faulty[0, 2].tolist() == [True, False] and found.status[0, 2] == jb.Status.FAULT
 
 
+@pytest.mark.long(by_day="test_a_fault_in_the_golden_window_is_found_as_recomputed")
 def test_what_a_fault_inside_the_first_window_does(rng):
     """The newest samples of the first window are tested against its older ones; older ones are taken for
     sound: nothing finds them.

@@ -324,6 +324,7 @@ class TestMany:
             runs += 1
         assert len(set(killed)) > 10 and runs < 20
 
+    @pytest.mark.long(by_day="test_a_worker_that_dies_costs_its_task_alone")
     def test_a_scheduler_that_dies_and_the_same_call_with_another(self, case, tmp_path, monkeypatch):
         pytest.importorskip("distributed", reason="dask.distributed is not installed")
         r, folder, _, _ = case("section 5")
