@@ -15,7 +15,7 @@ from jaxbound.consistency.twice import Doubtful
 from jaxbound.sets.floats import kernel
 from jaxbound.sets.floats.status import Status
 
-pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("many")]
+pytestmark = pytest.mark.compiled
 
 SHAKY = [jb.Uncertainty("a", A=[["0.02", 0], [0, "0.01"]])]
 RELATIONS = {
@@ -111,8 +111,8 @@ BY_DAY = [pytest.param(name, marks=pytest.mark.long) if name == "joint" else nam
 def test_no_corruption_makes_a_fault(name, rng, corrupted):
     recordings, samples = (2, 24) if name in ("observer", "joint") else (6, 40)
     count, faults, changed, warned = faults_under_corruption(name, rng, corrupted, recordings, samples)
-    assert count == recordings * samples and changed > 10 and warned
-    assert faults == 0
+    assert count == recordings * samples and changed > 10 and faults == 0
+    assert warned == (name != "long"), "what a search claims wrongly NumPy decides: nothing is in doubt"
 
 
 def test_no_corruption_makes_a_fault_of_a_million_windows(rng, corrupted):
