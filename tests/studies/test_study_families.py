@@ -44,7 +44,7 @@ STUDIED = {
 
 
 RARELY = {
-    "uncertain": "slow",
+    "uncertain": "long",
     "constant": "long",
     "long": "long",
     "residual": "long",
