@@ -17,13 +17,7 @@ import numpy as np
 
 from jaxbound.certificates.constant_window import ConstantWindow
 from jaxbound.certificates.diagnosis import Diagnosis, diagnose_window
-from jaxbound.certificates.exact_window import (
-    ExactWindow,
-    Explanation,
-    exact_window,
-    rounded_witness,
-    window_of,
-)
+from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window, rounded_witness
 from jaxbound.certificates.fault_size import Scale, SensorError
 from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
 from jaxbound.certificates.witness import Numbers, Witnessed, every_sample, rows_of
@@ -283,4 +277,4 @@ def _window(relations: ParityRelation, u: np.ndarray, y: np.ndarray) -> ExactWin
     window = exact_window(relations, u, y)
     if not window.constant:
         return window
-    return window_of(ConstantWindow, relations, u, y)
+    return ConstantWindow(window.model, window.horizon, window.claim, window.whole, window.lags)

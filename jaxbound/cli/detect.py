@@ -16,7 +16,6 @@ from jaxbound.cli.options import (
     OUTSIDE_WORD,
     SET_OBSERVER,
     WINDOW,
-    MethodOptions,
     Options,
     alarm_rule,
     every,
@@ -115,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
     with swift_imports():
         from jaxbound.cli.conclusion import conclude
         from jaxbound.cli.share import judge_share
-        from jaxbound.cli.window import DetectRun
+        from jaxbound.cli.window import DetectRun, asked
         from jaxbound.recordings.live import LiveSource
         from jaxbound.recordings.read import kind_of
 
@@ -129,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
         kind = kind_of(args.data)
     _refuse_shares(args, kind.parts)
     with door():
-        whole = DetectRun.of(args)
+        whole = asked(DetectRun, args, alarm_rule(args))
     if whole.part is not None:
         return judge_share(whole, whole.part)
     in_parts = kind.parts and args.method != VALIDATION
@@ -145,21 +144,12 @@ def _run_live(args: argparse.Namespace) -> int:
     _refuse(args, (*SHARING, "chunk"), f"is for recordings: give a file instead of {args.data}")
     with swift_imports():
         from jaxbound.cli.pipe import LiveRun, judge_stream
+        from jaxbound.cli.window import asked
         from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
     alarm: AlarmRule | None = alarm_rule(args)
     if alarm == EVERY_FAULT and args.alarm is None:
         alarm = None  # no option asks for alarms
-    live = LiveRun(
-        args.model,
-        MethodOptions.of(args),
-        args.data,
-        args.out,
-        args.state,
-        args.min_coverage,
-        args.json,
-        alarm,
-    )
-    return judge_stream(live)
+    return judge_stream(asked(LiveRun, args, alarm))
 
 
 def _evaluate_parts(run: "DetectRun") -> "Evaluation":

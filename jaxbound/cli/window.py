@@ -6,8 +6,9 @@ import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any, TypeVar
 
-from jaxbound.cli.options import MethodOptions, alarm_rule
+from jaxbound.cli.options import MethodOptions
 from jaxbound.consistency.interface import FAMILIES, MONITOR, Relations
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.models.modelfile import load_model
@@ -22,6 +23,7 @@ from jaxbound.runs.relations import is_monitored, relations_by
 __all__ = [
     "DetectRun",
     "Step",
+    "asked",
     "method_of",
     "parity_windows",
     "recorded",
@@ -31,6 +33,7 @@ __all__ = [
 ]
 
 
+R = TypeVar("R", bound=Any)
 Step = Callable[[str, float], object]
 """Told of progress: a stage, and the share of it that is done."""
 
@@ -62,11 +65,12 @@ class DetectRun:
     workers: int | None = None
     words: Sequence[str] = ()
 
-    @classmethod
-    def of(cls, args: argparse.Namespace) -> "DetectRun":
-        """Return the run of a command line; an option and the field that it sets have one name."""
-        given = vars(args) | {"options": MethodOptions.of(args), "alarm": alarm_rule(args)}
-        return cls(**{f.name: given[f.name] for f in fields(cls)})
+
+def asked(kind: type[R], args: argparse.Namespace, alarm: AlarmRule | None) -> R:
+    """Return the run of a command line, of a kind; an option and the field that it sets have one name."""
+    given = vars(args) | {"options": MethodOptions.of(args), "alarm": alarm}
+    run: R = kind(**{f.name: given[f.name] for f in fields(kind)})
+    return run
 
 
 def windowed(model: LinearSystem, horizon: int | None, lags: tuple[int, ...] | None) -> LinearSystem:

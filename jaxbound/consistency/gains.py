@@ -21,7 +21,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.check import LEAST, UNIT, HostImage, explained
-from jaxbound.consistency.holes import TOLD, HolesTest, refuted
+from jaxbound.consistency.holes import TOLD, HolesTest, refuted, signed
 from jaxbound.consistency.host_rows import doubles
 from jaxbound.consistency.interface import LinearRelations
 from jaxbound.consistency.strips_on_host import excludes_0
@@ -79,9 +79,8 @@ class GainsTest(HolesTest):
         some = image.of_windows(open_)
         outside[open_] = refuted(some, frame, found.h[:, open_], found.telling[open_])
         off = np.abs(1 / found.gains[:-1] - 1) / np.where(tolerance > 0, tolerance, np.inf)
-        margin = 1 - np.maximum(image.factor(found), off.max(0))
-        margin = np.where(inside, np.maximum(margin, SIZE), np.where(outside, np.minimum(margin, -SIZE), 0))
-        return np.where(found.idle, np.nan, margin).astype(dtype)
+        factor = np.maximum(image.factor(found), off.max(0))
+        return signed(factor, found.idle, inside, outside, dtype, SIZE)
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""

@@ -33,7 +33,7 @@ from jaxbound.exact.integers import places, whole_floats
 from jaxbound.exact.linalg import dot, row_reduce
 from jaxbound.sets.strips.chebyshev import fitted
 
-__all__ = ["TOLD", "HolesTest", "exact_margins", "refuted"]
+__all__ = ["TOLD", "HolesTest", "exact_margins", "refuted", "signed"]
 
 HELD = 2**21
 """Numbers of the problems that are searched at once."""
@@ -66,12 +66,12 @@ class HolesTest(SignedTest):
         super().__init__(relations, "joint", dtype)
         self.reading = relations.reading(np.float64)
 
-    def judge(self, run: Run | None, blocks: Sequence[Block]) -> Sequence[Arrays]:
+    def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return the margins of blocks of windows; without a device."""
-        with np.errstate(all="ignore"):
-            return [(self._margins(u, y),) for u, y in blocks]
+        return [(self.searched(u, y),) for u, y in blocks]
 
-    def _margins(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+    @np.errstate(all="ignore")
+    def searched(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the margins (N,) of windows u (lags, m, N), y (s + 1, p, N): NaN where no relation has its
         data, 0 where nothing is proved.
         """
@@ -96,7 +96,7 @@ class HolesTest(SignedTest):
         if len(open_):
             some, h, telling = image.of_windows(open_), found.h[:, open_], found.telling[open_]
             outside[open_] = refuted(some, frame, h, telling)
-        return _signed(found.t, found.idle, inside, outside, dtype)
+        return signed(found.t, found.idle, inside, outside, dtype)
 
 
 class _Found(NamedTuple):
@@ -148,7 +148,7 @@ def _decided_exactly(image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np
         middle = image.middle.copy()
         middle[c:] += x[: len(middle) - c]
         image = replace(image, start=middle, known=image.known_with(x[len(middle) - c :]))
-    return _signed(t, idle, inside, outside, dtype)
+    return signed(t, idle, inside, outside, dtype)
 
 
 def _in_floats(image: HostImage) -> tuple[np.ndarray, ...]:
@@ -182,11 +182,20 @@ def _searched(image: HostImage, values: np.ndarray | None = None, radius: np.nda
     return _Found(fit.t, (fit.x * scale).T, h / np.where(top > 0, top, 1), fit.telling, fit.idle)
 
 
-def _signed(
-    t: np.ndarray, idle: np.ndarray, inside: np.ndarray, outside: np.ndarray, dtype: np.dtype
+def signed(
+    t: np.ndarray,
+    idle: np.ndarray,
+    inside: np.ndarray,
+    outside: np.ndarray,
+    dtype: np.dtype,
+    least: float | None = None,
 ) -> np.ndarray:
-    """Return margins with the sign that was proved, 0 where none was, NaN where no row tells anything."""
-    margin, least = np.nan_to_num(1 - t, nan=0.0), np.finfo(dtype).eps
+    """Return margins with the sign that was proved, 0 where none was, NaN where no row tells anything. least:
+    the size of those whose sign is proved, at least; None: the precision of the type.
+    """
+    margin = np.nan_to_num(1 - t, nan=0.0)
+    if least is None:
+        least = float(np.finfo(dtype).eps)
     margin = np.where(outside, np.minimum(margin, -least), np.where(inside, np.maximum(margin, least), 0))
     return np.where(idle, np.nan, margin).astype(dtype)
 

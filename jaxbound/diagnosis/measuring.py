@@ -3,11 +3,11 @@
 import numpy as np
 
 from jaxbound.consistency.drive import end_to_end, windows
-from jaxbound.consistency.interface import Judged, Relations, WindowTest
+from jaxbound.consistency.interface import Relations
 from jaxbound.recordings.recording import NOWHERE
 from jaxbound.sets.floats.kernel import sparing
 
-__all__ = ["exact_margins", "judged_at", "tightest"]
+__all__ = ["exact_margins", "tightest"]
 
 TOGETHER = 2**14
 """Windows that are gathered at once."""
@@ -15,23 +15,6 @@ LOOKED = 2**16
 """Windows that are searched for the tightest one, before it is the tightest of these."""
 FIRST = 64
 """Windows that are searched at first for it; twice as many each further time."""
-
-
-def judged_at(test: WindowTest, u: np.ndarray, y: np.ndarray, at: np.ndarray) -> Judged:
-    """Return the verdicts (N,) of the windows that end at some samples, by a test of windows.
-
-    Args:
-        u (T, m), y (T, p): samples in which those windows lie as a whole. at: (N,).
-    """
-    before = np.arange(-test.horizon, 1)
-    status, margin = np.zeros(len(at), np.int8), np.zeros(len(at), y.dtype)
-    for first in range(0, len(at), TOGETHER):
-        here = slice(first, first + TOGETHER)
-        rows = at[here, None] + before
-        with sparing():
-            judged = windows(test, u[rows], y[rows], NOWHERE)
-        status[here], margin[here] = judged.status[:, -1], judged.margin[:, -1]
-    return Judged(status, margin)
 
 
 def exact_margins(
@@ -45,9 +28,16 @@ def exact_margins(
     """
     test = relations.test(method, y.dtype)
     assert not test.remembers, "no observer"
-    found = judged_at(test.measured(), end_to_end(u), end_to_end(y), at).margin
-    bound: np.ndarray = margin.reshape(-1)[at]
-    return np.where(found * bound > 0, found, bound)
+    test, before = test.measured(), np.arange(-test.horizon, 1)
+    flat_u, flat_y = end_to_end(u), end_to_end(y)
+    exact: np.ndarray = margin.reshape(-1)[at]
+    for first in range(0, len(at), TOGETHER):
+        here = slice(first, first + TOGETHER)
+        rows = at[here, None] + before
+        with sparing():
+            found = windows(test, flat_u[rows], flat_y[rows], NOWHERE).margin[:, -1]
+        exact[here] = np.where(found * exact[here] > 0, found, exact[here])
+    return exact
 
 
 def tightest(

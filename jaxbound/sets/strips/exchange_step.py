@@ -67,7 +67,6 @@ def long_step(
     done: jax.Array,
     one: jax.Array,
     ones: jax.Array,
-    finer: jax.Array | float,
 ) -> tuple[jax.Array, ...]:
     """Return (q, swap, by_w, row, stays, rest): the slot of S that is left, whether (else e itself leaves),
     whether w joins S (else e does, and w stays), and what changes: coefficients x on S become x - x_q row;
@@ -81,7 +80,7 @@ def long_step(
     added = lambda term, *rows: summed(term, *rows, few=WRITTEN_OUT)
     change = sign_w[None] * T_w * signs * S_radius / radius_w[None]
     worth = (
-        finer * closeness(dtype) ** 0.5 * highest(jnp.abs(change)) / one
+        closeness(dtype) ** 0.5 * highest(jnp.abs(change)) / one
     )  # a smaller pivot would ruin all; it may as well change sign
     rate = jnp.where(change > worth[None], change, 0) / ones
     step = (

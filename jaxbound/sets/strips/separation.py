@@ -193,7 +193,7 @@ def separation_image(
 
 
 def separation_search(
-    frame: Frame, image: Image, one: jax.Array, steps: int, finer: jax.Array | float = 1.0
+    frame: Frame, image: Image, one: jax.Array, steps: int
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (h (c, N), d (k, N), done (N,)): candidates for the two proofs of `separation_verdict`, nearly
     optimal where done.
@@ -201,10 +201,8 @@ def separation_search(
     Args:
         frame: from `frame_of`. image: from `separation_image`. one: N ones, traced. steps: at most so many
             exchanges.
-        finer: factor on the share of the largest pivot below which none is taken: a small pivot spoils the
-            inverse, but without it a search may go round in circles.
     """
-    return exchange_search(frame.R, image.z, image.radius, image.present, one, steps, finer)
+    return exchange_search(frame.R, image.z, image.radius, image.present, one, steps)
 
 
 def separation_verdict(
@@ -292,7 +290,6 @@ def exchange_search(
     present: Numbers,
     one: jax.Array,
     steps: int,
-    finer: jax.Array | float = 1.0,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (h (c, N), d (k, N), done (N,)) with max|h| = 1: nearly optimal in (dual) and (primal) where
     done.
@@ -303,7 +300,7 @@ def exchange_search(
     """
     c, k = R.shape
     if k > c:
-        return tableau_search(R, z, radius, present, one, steps, finer)
+        return tableau_search(R, z, radius, present, one, steps)
     N, dtype = z.shape[1], z.dtype
     rows = jnp.concatenate([R, jnp.eye(k, dtype=dtype)])
     r_inner = radius[c:]
@@ -336,7 +333,7 @@ def exchange_search(
         value_w, radius_w = (picked(x, w) / one for x in table)
         sign_w = jnp.sign(value_w - summed(lambda a, b: a * b, enters, d, few=WRITTEN_OUT)) / one
         q, swap, by_w, row, stays, rest = long_step(
-            now, (T, radius_e), (T_w, radius_w, sign_w, worst), basis[2], done, one, ones, finer
+            now, (T, radius_e), (T_w, radius_w, sign_w, worst), basis[2], done, one, ones
         )
         at_q = slots == q[None]
         column = picked(P, q) / ones

@@ -29,7 +29,6 @@ def tableau_search(
     present: jax.Array | np.ndarray,
     one: jax.Array,
     steps: int,
-    finer: jax.Array | float,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (h (c, N), d (k, N), done (N,)): see `separation.exchange_search`, whose arguments these are."""
     R = jnp.asarray(R)
@@ -58,7 +57,7 @@ def tableau_search(
         value_w, radius_w, _, id_w = (x / one for x in picked(out, w))
         T_w, sign_w = _row(M, w) / ones, jnp.sign(picked(error, w)) / one
         q, swap, by_w, row, _, _ = long_step(
-            now, (T, radius_e), (T_w, radius_w, sign_w, worst), basis[2], done, one, ones, finer
+            now, (T, radius_e), (T_w, radius_w, sign_w, worst), basis[2], done, one, ones
         )
         joins = places == jnp.where(by_w, w, e)[None]
         column = (picked(M, q) + joins) / one[None]

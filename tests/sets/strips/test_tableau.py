@@ -39,7 +39,7 @@ def test_the_factor_is_that_of_a_linear_program_and_both_witnesses_show_it(rng, 
     present = np.concatenate([rng.random((C, N)) < 0.8, np.ones((K, N), bool)])
     present[0] = True
     z = np.where(present[:C], z, 0)
-    h, d, done = map(np.asarray, search(R, z, radius, present, np.ones(N, dtype), 200, 1.0))
+    h, d, done = map(np.asarray, search(R, z, radius, present, np.ones(N, dtype), 200))
     assert done.all() and d.shape == (K, N) and (abs(h).max(0) == 1).all()
     close = 1e-9 if dtype == np.float64 else 2e-3
     for w in range(N):
