@@ -37,7 +37,13 @@ from jaxbound.consistency.twice import decided_twice, warn_of
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import crossing
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla, tried_in_numpy
-from jaxbound.sets.floats.probe import default_device, searching, searching_device, usable_devices
+from jaxbound.sets.floats.probe import (
+    default_device,
+    refuse_unverified,
+    searching,
+    searching_device,
+    usable_devices,
+)
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.text.progress import in_part, reporter
@@ -131,13 +137,14 @@ def windows(
     flat_u, flat_y, block = end_to_end(u), end_to_end(y), size or test.block
     shape, report = y.shape[:-1], _rising(progress)
     decided = partial(_decided, test, flat_u, flat_y, shape, starts, report, block)
-    if is_outside_xla():
+    if test.on_host or is_outside_xla():
         return decided()
     if test.by_kernels:
         tried = tried_in_numpy(decided, window_count(shape, test.horizon) * test.weight, test.kind)
         if tried is not None and (test.confirms or not _left_by_rounding(tried)):
             return tried
     if not searching_device():
+        refuse_unverified()
         return decided()
 
     def missing(some_u: np.ndarray, some_y: np.ndarray) -> np.ndarray:

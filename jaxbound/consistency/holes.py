@@ -59,7 +59,7 @@ class HolesTest(SignedTest):
     """
 
     sharded = padded = False
-    confirms = True
+    confirms = on_host = True
     block = 64
 
     def __init__(self, relations: LinearRelations, dtype: DTypeLike) -> None:

@@ -1,14 +1,13 @@
 """Easy windows first: one fixed projection settles most windows of long relations, before any search.
 
-`sets.strips.projection` has the idea and the proof. Here a stretch of samples becomes the columns that it
-reads: what belongs to one sample (middle, radius, input) is worked out once and serves all windows that the
+`sets.strips.projection` has the idea and the proof. Here a stretch of samples becomes the rows of its
+windows: what belongs to one sample (middle, radius, input) is worked out once and serves all windows that the
 sample is in. A radius here is that of the sample alone, which is not above that of `sensor.true_value` for
 the whole window: what it proves CONSISTENT is.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache, partial
-from operator import mul
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -19,22 +18,14 @@ from jax.typing import DTypeLike
 from jaxbound.consistency.check import contradicted_by
 from jaxbound.consistency.interface import Array, Arrays, Easy, LinearRelations, Run, SignedTest
 from jaxbound.consistency.reading import AVERAGING, Block, Reading
-from jaxbound.exact import linalg
-from jaxbound.models import sensor, window
+from jaxbound.models import sensor
 from jaxbound.models.rows import Kind, Row, WeightedSum
-from jaxbound.models.system import LinearSystem
-from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.unrolled import most, stored, total
 from jaxbound.sets.strips.projection import (
-    Columns,
-    Forced,
     Projection,
     Rows,
-    WindowColumns,
     clipped_margin,
-    forced_outputs,
-    projected_margin,
     projection_of,
 )
 
@@ -42,7 +33,6 @@ __all__ = [
     "EasyStretches",
     "EasyWindows",
     "Given",
-    "columns_of",
     "easy_by",
     "projection",
     "rows_of",
@@ -50,15 +40,11 @@ __all__ = [
 
 BLOCK = 4096
 COLUMNS = 64
-"""Rows of a window up to which a stretch is projected: each is a column, and what compiles grows with the
-square of their number.
-"""
+"""Rows of a window up to which a stretch is settled as a whole: windows of more are gathered as fast."""
 PART = 1024
 """Windows of a stretch that are searched together: their rows stay in the cache."""
 SMALL = 8
 """Inner rows above which fewer are searched together."""
-FEWEST = 8
-"""A part of which one window in so many is left open is searched as a whole."""
 
 
 class Given(NamedTuple):
@@ -120,142 +106,53 @@ class EasyWindows(_Easy):
 
 @kernel(wide=True)
 def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the margins (N,) of the windows of a stretch u (N + s, m), y (N + s, p).
-
-    Where many windows of a part are left open, or have weights of their own, a few clipped steps are taken
-    for all of it: nothing is gathered.
+    """Return the margins (N,) of the windows of a stretch u (N + s, m), y (N + s, p), of which none is
+    gathered: 0 of those that are left open.
     """
-    s, count, weighted = given.reading.horizon, len(y) - given.reading.horizon, given.projection.weighted
-    margin = jnp.zeros_like(y[s:, 0])
-    if not weighted:
-        margin = projected_margin(given.projection, columns_of(given, u, y))
+    s, count = given.reading.horizon, len(y) - given.reading.horizon
     size = PART
     if len(given.projection.inner) > SMALL:
         size = PART // 4
     if count % size:
         size = count
 
-    def search(own: jax.Array, u: jax.Array, y: jax.Array) -> jax.Array:
-        return jnp.maximum(own, clipped_margin(given.projection, _rows(given, u, y), stretch=True)[0])
-
-    def settled(i: jax.Array) -> jax.Array:
-        first = i * size
-        own = jax.lax.dynamic_slice_in_dim(margin, first, size)
+    def part(i: jax.Array) -> jax.Array:
         samples = jax.tree.map(
-            partial(jax.lax.dynamic_slice_in_dim, start_index=first, slice_size=size + s), (u, y)
+            partial(jax.lax.dynamic_slice_in_dim, start_index=i * size, slice_size=size + s), (u, y)
         )
-        if weighted:
-            return search(own, *samples)
-        many = jnp.sum(own <= 0) * FEWEST > size
-        out: jax.Array = jax.lax.cond(many, search, _unchanged, own, *samples)
-        return out
+        return clipped_margin(given.projection, _rows(given, *samples), stretch=True)[0]
 
-    if size == count:
-        return settled(jnp.zeros((), jnp.int32))
-    margins: jax.Array = jax.lax.map(settled, jnp.arange(count // size))
+    margins: jax.Array = jax.lax.map(part, jnp.arange(count // size))
     return margins.reshape(-1)
-
-
-def _unchanged(own: jax.Array, u: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the margins as they are."""
-    return own
-
-
-class _Stretch(NamedTuple):
-    """The samples of a stretch, as every window that reads them needs them.
-
-    Fields: samples: of each output (N + s,), then of each disturbance, then of the runs of each sum; v: the
-    inputs (N + s,) less their offsets; scale, heaviest, known: (N,), the largest of windows, see
-    `WindowColumns`.
-    """
-
-    samples: list["_Sample"]
-    v: list[jax.Array]
-    scale: jax.Array
-    heaviest: jax.Array
-    known: jax.Array
-
-
-def _stretch_of(reading: Reading, u: jax.Array, y: jax.Array) -> _Stretch:
-    """Return the _Stretch of samples u (N + s, m), y (N + s, p)."""
-    s, count = reading.horizon, len(y) - reading.horizon
-    samples = []
-    for i, values in enumerate(y.T):
-        samples.append(_sample(reading, i, u, values))
-    samples += map(_sample_of, *reading._disturbance(jnp.ones_like(y[:, 0])))
-    _, _, weights, scales = zip(*samples, strict=True)
-    largest, heaviest = (_running(most(x), s + 1)[:count] for x in (scales, weights))
-    for number, values in enumerate(reading.window.sums):
-        part = _sum(reading, number, y)
-        samples.append(part)
-        largest = jnp.maximum(largest, _scale_of_sum(values, largest, part.radius[0]))
-        heaviest = jnp.maximum(heaviest, part.weight[0])
-    v, sizes = [], []
-    for now, offset in zip(reading.known_inputs(u).T, reading.offset_u, strict=True):
-        v.append(now - offset)
-        sizes.append(abs(now) + abs(offset))
-    known = jnp.zeros_like(largest)
-    if v:
-        known = _running(most(sizes), _acting(reading))[:count]
-    return _Stretch(samples, v, largest, heaviest, known)
-
-
-def columns_of(given: Given, u: jax.Array, y: jax.Array) -> WindowColumns:
-    """Return the columns of the windows of a stretch u (N + s, m), y (N + s, p)."""
-    reading, projection, stretch = given.reading, given.projection, _stretch_of(given.reading, u, y)
-    numbers, count = (*projection.outer, *projection.inner), len(stretch.scale)
-    rows = _taken_columns(reading, [sample.mid for sample in stretch.samples], numbers, count)
-    weights = _taken_columns(reading, [sample.weight for sample in stretch.samples], numbers, count)
-    mid = _less_forced(given, stretch, rows, numbers)
-    return WindowColumns(mid, weights, stretch.scale, stretch.heaviest, stretch.known)
-
-
-def _taken_columns(
-    reading: Reading, series: Sequence[jax.Array], numbers: Sequence[int], count: int
-) -> list[jax.Array]:
-    """Return of each row of windows its column (count,) of the series (N + s,) that it reads."""
-    columns = []
-    for number in numbers:
-        row = reading.window.all[number]
-        columns.append(series[_series(reading, row)][row.first : row.first + count])
-    return columns
-
-
-def _less_forced(
-    given: Given, stretch: _Stretch, columns: Sequence[jax.Array], numbers: Sequence[int]
-) -> list[jax.Array]:
-    """Return columns of rows, less what inputs add to them from rest."""
-    reading, forced = given.reading, given.projection.forced
-    if forced is None:
-        return list(columns)
-    f = _forced_columns(forced, stretch.v, reading.horizon, len(columns[0]))
-    less = []
-    for own, number in zip(columns, numbers, strict=True):
-        row = reading.window.all[number]
-        if row.kind is Kind.READING:
-            own = own - f[row.first][row.number]
-        if row.kind is Kind.SUM:
-            own = own - _forced_sum(row, f)
-        less.append(own)
-    return less
 
 
 def _rows(given: Given, u: jax.Array, y: jax.Array) -> Rows:
     """Return the rows of the windows of a stretch u (N + s, m), y (N + s, p)."""
     reading, projection = given
-    count = len(y) - reading.horizon
-    stretch = _stretch_of(reading, u, y)
+    s, count = reading.horizon, len(y) - reading.horizon
+    samples = [_sample(reading, i, u, values) for i, values in enumerate(y.T)]
+    samples += map(_Sample, *reading._disturbance(jnp.ones_like(y[:, 0])))
+    _, radii, scales = zip(*samples, strict=True)
+    scale, heaviest = _running(most(scales), s + 1), _running(most([1 / r for r in radii]), s + 1)
+    for number, values in enumerate(reading.window.sums):
+        part = _sum(reading, number, y)
+        samples.append(part)
+        scale = jnp.maximum(scale, _scale_of_sum(values, scale, part.radius[0]))
+        heaviest = jnp.maximum(heaviest, 1 / part.radius[0])
     at = []
     for number in (*projection.outer, *projection.inner):
         row = reading.window.all[number]
         at.append((_series(reading, row), row.first))
-    mids, radii, _, _ = zip(*stretch.samples, strict=True)
+    mids, radii, _ = zip(*samples, strict=True)
     mid, radius = _taken(jnp.stack(mids), np.array(at), count), _taken(jnp.stack(radii), np.array(at), count)
-    known = jnp.zeros((0, count), y.dtype)
-    if stretch.v and _acting(reading):
-        places = np.indices((_acting(reading), len(stretch.v))).reshape(2, -1)
-        known = _taken(jnp.stack(stretch.v), places[::-1].T, count)
-    return Rows(mid, radius, known, *stretch[2:])
+    known, known_size = jnp.zeros((0, count), y.dtype), jnp.zeros_like(scale)
+    inputs, acting = reading.known_inputs(u).T, _acting(reading)
+    if len(inputs) and acting:
+        offset = reading.offset_u[:, None]
+        places = np.indices((acting, len(inputs))).reshape(2, -1)
+        known = _taken(inputs - offset, places[::-1].T, count)
+        known_size = _running(jnp.max(abs(inputs) + abs(offset), 0), acting)[:count]
+    return Rows(mid, radius, known, scale, heaviest, known_size)
 
 
 def _series(reading: Reading, row: Row) -> int:
@@ -275,29 +172,6 @@ def _taken(x: jax.Array, at: np.ndarray, count: int) -> jax.Array:
 
     rows: jax.Array = jax.lax.map(row, jnp.asarray(at))
     return rows
-
-
-def _forced_columns(forced: Forced, v: Columns, s: int, count: int) -> list[list[jax.Array]]:
-    """Return f of all windows of a stretch with inputs v, [sample][output]: what inputs add is worked out
-    once a sample.
-    """
-    first = [_cut(v, j, count) for j in range(min(forced.order + 1, s + 1))]
-    later = s - forced.order
-    if later < 0:
-        return forced_outputs(forced, first, [])
-    terms = []
-    for j in range(forced.driven.shape[1] // len(v)):
-        terms += _cut(v, j, count + later)
-    added = []
-    for row in forced.driven:
-        added.append(total(map(mul, row, terms)))
-    driven = [_cut(added, j, count) for j in range(later + 1)]
-    return forced_outputs(forced, first, driven)
-
-
-def _cut(series: Columns, first: int, count: int) -> list[jax.Array]:
-    """Return so many entries of each series, from one on."""
-    return [x[first : first + count] for x in series]
 
 
 def rows_of(given: Given, u: jax.Array, y: jax.Array) -> Rows:
@@ -320,11 +194,10 @@ def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ja
 
 
 class _Sample(NamedTuple):
-    """Samples of an output, or of a disturbance, as rows: weight = 1 / radius."""
+    """Samples of an output, or of a disturbance, or the runs of a sum, as rows."""
 
     mid: jax.Array
     radius: jax.Array
-    weight: jax.Array
     scale: jax.Array
 
 
@@ -338,7 +211,7 @@ def _acting(reading: Reading) -> int:
 def _sample(reading: Reading, i: int, u: jax.Array, y: jax.Array) -> _Sample:
     bounds = reading.tolerance[i], reading.noise_at(u, i), reading.resolution[i], reading.offset_y[i]
     (mid,), (radius,), (scale,) = sensor.true_value([y], *bounds)
-    return _sample_of(mid, radius, scale)
+    return _Sample(mid, radius, scale)
 
 
 def _sum(reading: Reading, number: int, y: jax.Array) -> _Sample:
@@ -356,7 +229,7 @@ def _sum(reading: Reading, number: int, y: jax.Array) -> _Sample:
             for a, weight in enumerate(weights):
                 terms.append(jnp.asarray(float(weight), dtype) * d[a : a + count])
         mid = jnp.pad(total(terms), (0, len(y) - count))
-    return _sample_of(mid, jnp.ones_like(mid) * _bound_of_sum(reading, number), mid)
+    return _Sample(mid, jnp.ones_like(mid) * _bound_of_sum(reading, number), mid)
 
 
 def _bound_of_sum(reading: Reading, number: int) -> Array:
@@ -373,21 +246,6 @@ def _scale_of_sum(values: WeightedSum, largest: jax.Array, radius: jax.Array) ->
     `largest`.
     """
     return (2 + values.terms / AVERAGING) * (float(values.size) * largest + radius)
-
-
-def _forced_sum(row: Row, f: Sequence[Sequence[jax.Array]]) -> jax.Array:
-    """Return the share of inputs in a run: the weighted sum of f, [sample][output]; 0 of disturbances."""
-    if not row.values.measured:
-        return jnp.zeros(())
-    dtype, terms = f[-1][0].dtype, []
-    for i, weights in row.values.parts:
-        for sample, weight in enumerate(weights, row.first):
-            terms.append(jnp.asarray(float(weight), dtype) * f[sample][i])
-    return total(terms)
-
-
-def _sample_of(mid: jax.Array, radius: jax.Array, scale: jax.Array) -> _Sample:
-    return _Sample(mid, radius, 1 / radius, scale)
 
 
 def _running(x: jax.Array, lags: int) -> jax.Array:
@@ -419,8 +277,7 @@ def projection(
     relations: LinearRelations, reading: Reading, dtype: DTypeLike, weighted: bool
 ) -> Projection | None:
     """Return the projection of windows; None where there is none of use. weighted: see `projection_of`."""
-    frame, model, horizon = relations.frame, relations.model, relations.horizon
-    rows = reading.window.all
+    frame, rows = relations.frame, reading.window.all
     if frame is None or not frame.inner:
         return None
     looked, typical = np.array([(row.seen, _typical(reading, row)) for row in rows]).T
@@ -431,17 +288,7 @@ def projection(
     outer = outer[kept]
     R, K = np.asarray(reading.frame.R)[kept], np.asarray(reading.frame.K)[kept]
     radius = typical[[*outer, *inner]]
-    forced = None
-    if model.m and any(map(any, frame.K)):
-        forced = _forced(model, np.dtype(dtype))
-        if forced is None:
-            return None
-    spread, terms = 1.0, 1
-    for values in reading.window.sums:
-        if values.measured:
-            spread, terms = max(spread, float(values.size)), max(terms, values.terms)
-    numbers = outer.tolist(), inner
-    return projection_of(R, K, radius, *numbers, forced, horizon + 1, dtype, spread, terms, weighted)
+    return projection_of(R, K, radius, outer.tolist(), inner, dtype, weighted)
 
 
 def _typical(reading: Reading, row: Row) -> float:
@@ -453,35 +300,3 @@ def _typical(reading: Reading, row: Row) -> float:
         return float(0.5 * (hi - lo))
     i = row.number
     return float(reading.noise[i] + reading.resolution[i] + reading.tolerance[i])
-
-
-@lru_cache(maxsize=64)
-def _forced(model: LinearSystem, dtype: np.dtype) -> Forced | None:
-    """Return how outputs answer to inputs from rest: exact, then rounded once."""
-    p, m = model.p, model.m
-    O, _ = window.first_form(model, model.n)
-    reduced, basis = linalg.row_reduce(linalg.transpose(O))
-    if not basis:
-        return None
-    order = max(basis) // p + 1
-    now = slice(order * p, (order + 1) * p)
-    own = np.array(reduced, object)[:, now].T
-    H = np.array(window.first_form(model, order)[1], object)
-    driven = H[now] - own @ H[list(basis)]
-    # without D the newest input does not act: whether it is missing is no matter
-    first = H[: order * p, : order * m]
-    samples, outputs = np.divmod(basis, p)
-    pairs = tuple(zip(samples.tolist(), outputs.tolist(), strict=True))
-    return Forced(
-        _rounded(first, dtype),
-        _rounded(own, dtype),
-        _rounded(driven, dtype),
-        pairs,
-        order,
-        int(model.has_feedthrough),
-    )
-
-
-def _rounded(matrix: np.ndarray, dtype: DTypeLike) -> np.ndarray:
-    """Return a matrix of fractions in floats."""
-    return np.asarray(rounding.nearest_normals(matrix.ravel().tolist(), dtype)).reshape(matrix.shape)

@@ -59,14 +59,17 @@ class _Patient:
 
     def __init__(self, what: str) -> None:
         self.what, self.begun = what or "this", time.monotonic()
-        self.next = self.begun + PATIENCE
+        self.next, self.first = self.begun + PATIENCE, (0.0, 0.0)
 
     def __call__(self, share: float) -> None:
         now = time.monotonic()
-        if now < self.next or share <= 0:
+        begun, done = self.first
+        if share > 0 and not done:  # what came before, as compiling, does not come again
+            self.first = now, share
+        if now < self.next or not 0 < done < share:
             return
         took = now - self.begun
-        left = took * (1 - share) / share
+        left = (now - begun) * (1 - share) / (share - done)
         if left < PATIENCE:  # it is there sooner than the line is read
             return
         self.next = now + EVERY

@@ -153,11 +153,6 @@ def with_explanation(margin_of):
     return jax.jit(explained)
 
 
-@jax.jit
-def projected(given, u, y):
-    return steps.projected_margin(given.projection, projection.columns_of(given, u, y))
-
-
 @with_explanation
 def of_part(given, u, y):
     return steps.clipped_margin(given.projection, projection._rows(given, u, y), stretch=True)[0]
@@ -166,22 +161,6 @@ def of_part(given, u, y):
 @with_explanation
 def of_windows(given, u, y):
     return steps.clipped_margin(given.projection, projection.rows_of(given, u, y))[0]
-
-
-def test_a_projection_explains_what_it_calls_consistent_in_exact_arithmetic(case):
-    given, s = easy(case).stretches.constants, case.relations.horizon
-
-    def margins(y):
-        return np.asarray(projected(given, as_recording(case.u), as_recording(y)))[:: s + 1]
-
-    y, behind, turned = at_threshold(case, lambda y: margins(y) > 0)
-    assert not margins(behind)[turned].any()
-    outer = len(case.relations.frame.outer)
-    P = [[Fraction(float(x)) for x in row[:outer]] for row in given.projection.step]
-    for number in np.flatnonzero(turned):
-        window = exact(case, y, number)
-        d = [x[0] for x in times(P, [[x] for x in window.z])]
-        assert 0 < Fraction(float(margins(y)[number])) <= 1 - largest_use(case, window, d)
 
 
 @pytest.mark.parametrize("kind", ["stretches", "windows"])

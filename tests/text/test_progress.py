@@ -32,6 +32,17 @@ def test_nobody_is_told_of_short_work_and_everybody_of_long_work(clock, caplog):
     assert len(said) == 3, "one after five seconds, then one a minute, and none just before the end"
 
 
+def test_what_comes_before_the_first_share_is_not_expected_again(clock, caplog):
+    report = reporter(None, "detect")
+    with caplog.at_level(logging.WARNING, logger="jaxbound"):
+        for second, share in ((12.0, 0.01), (13.0, 0.02), (14.0, 0.03)):
+            clock[0] = second
+            report(share)
+    assert [record.getMessage() for record in caplog.records] == [
+        "detect: 2 % done after 13 s, about 2 minutes to go"
+    ]
+
+
 def test_work_that_ends_soon_or_was_asked_about_is_not_spoken_of(clock, caplog):
     told = []
     with caplog.at_level(logging.WARNING, logger="jaxbound"):

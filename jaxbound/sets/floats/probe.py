@@ -1,5 +1,5 @@
 """May this process prove anything? What `rounding` assumes of processor, device and compiler, asked before
-every proof.
+every proof, of the compiler where something is compiled.
 
 **The rounding mode** of the processor is asked at every call: it takes a microsecond, and an import can
 change it at any time. **The device** has to be of a kind whose arithmetic was examined (`EXAMINED`): so far
@@ -84,17 +84,17 @@ def refuse_unverified(*given: object) -> None:
 
 
 def refuse_unusable() -> None:
-    """Raise Unverified if windows can be decided nowhere in this process.
+    """Raise Unverified if windows can be decided nowhere in this process, as far as names tell.
 
-    A device that may prove is asked all of `refuse_unverified`. Of one that may only search nothing is
-    asked: what proves is then NumPy on the host, which needs its rounding mode, and a CPU device for arrays
-    that no card has held.
+    The probe is compiled where windows are (`refuse_unverified`): NumPy, which decides few of them, needs its
+    rounding mode alone. Of a device that may only search no more is asked, but for a CPU device beside it,
+    for arrays that no card has held.
     """
+    refuse_other_modes()
     if card := searching_device():
-        refuse_other_modes()
         _host_beside(card)
-    else:
-        refuse_unverified()
+    elif not is_searching() and (why := _doubt_by_name(usable_devices()[0])):
+        raise Unverified(why)
 
 
 @contextlib.contextmanager
@@ -209,6 +209,7 @@ def examined_devices() -> dict[str, str]:
         f"{device.device_kind} ({named(kind_of_device(device))})": device for device in usable_devices()
     }
     found = {name: examine(device) for name, device in devices.items()}
+    _named_doubt.cache_clear()
     _found.cache_clear()
     return found
 
@@ -216,11 +217,16 @@ def examined_devices() -> dict[str, str]:
 def _doubt(device: jax.Device) -> str:
     """Return why a device proves nothing, in a sentence; empty where it may."""
     x64 = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]  # made at run time
-    return _switched(device) or _found(device, os.environ.get("XLA_FLAGS", ""), x64)
+    return _doubt_by_name(device) or _found(device, os.environ.get("XLA_FLAGS", ""), x64)
+
+
+def _doubt_by_name(device: jax.Device) -> str:
+    """Return the same without the probe."""
+    return _switched(device) or _named_doubt(device, os.environ.get("XLA_FLAGS", ""))
 
 
 @lru_cache
-def _found(device: jax.Device, flags: str, x64: bool) -> str:
+def _named_doubt(device: jax.Device, flags: str) -> str:
     kind = kind_of_device(device)
     if named(kind) not in EXAMINED and not is_admitted(device):
         return (
@@ -228,8 +234,12 @@ def _found(device: jax.Device, flags: str, x64: bool) -> str:
             f"JAX_PLATFORMS=cpu, examine it once with `jaxbound info --device`, or give NumPy arrays under "
             f'`with jax.default_device("cpu")`; margins gives unproved values anywhere'
         )
-    if why := _loosened(flags):
-        return why
+    return _loosened(flags)
+
+
+@lru_cache
+def _found(device: jax.Device, flags: str, x64: bool) -> str:
+    kind = kind_of_device(device)
     count, versions = FEW, ", ".join(VERSIONS)
     if kind["jaxlib"] not in VERSIONS:
         count = MANY

@@ -8,11 +8,6 @@ within their radii. The d of least squares is one fixed matrix times z, d = P z,
 it keeps nearly all windows within their bounds. Nothing is searched, nothing gathered: what is left open goes
 to the exchange search.
 
-**z without the inputs' matrix.** Let f be the answer of the plant at rest to the inputs of the window. Then
-rows - f follow from an initial state alone, so z = (m - f)_outer - R (m - f)_inner. An output of f is a fixed
-combination of some outputs just before it and of the inputs since: a recursion of few terms, where rows of K
-have one for every input of the window.
-
 **Proof.** P is whatever its floats are, so d* = P z* is a point for the exact z*, and all that is computed
 approximates the exact e* = (z* - R d*, -d*). Its error, whatever the compiler computes twice or contracts, is
 below
@@ -34,13 +29,12 @@ proof, and so is ANY h, which NumPy checks.
 **Radii that differ from window to window**, as tolerances make them, need weights W of each window's own:
 then (A'WA)^-1 A'W is no fixed matrix, but a small system that each window factorises once (`weighted`).
 
-Everything is elementwise over N windows: the projection in lists of columns, which a compiler fuses into one
-loop, the search in arrays, of which many uses are made.
+Everything is elementwise over N windows.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -48,24 +42,11 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.unrolled import most, product, stored, summed, total
+from jaxbound.sets.floats.unrolled import product, stored, summed
 from jaxbound.sets.strips.weighted import TERMS, factored, solved
 
-__all__ = [
-    "Columns",
-    "Forced",
-    "Projection",
-    "Rows",
-    "WindowColumns",
-    "clipped_margin",
-    "forced_outputs",
-    "projected_margin",
-    "projection_of",
-]
+__all__ = ["Projection", "Rows", "clipped_margin", "projection_of"]
 
-Columns: TypeAlias = Sequence[jax.Array]
-WRITTEN_OUT = 256
-"""Entries of a matrix up to which a product is written out term by term."""
 SHARE = 0.85
 """Part of the radii into which errors are clipped: aiming inside them, few steps reach a healthy window."""
 OVER = 3.5
@@ -93,115 +74,23 @@ FLUSHED = 2**20
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Forced:
-    """The answer f of outputs to inputs from rest, as a recursion.
-
-    Fields: first (J p, J m): f of the first J samples on their inputs; own (p, b): each later f on the
-    `basis` of the J samples before it; driven (p, (J + 1) m): on the inputs since the first of these; basis:
-    (sample of these, output), b of them; order: J; direct: 1 where an input acts on outputs at once, else 0.
-    """
-
-    first: np.ndarray
-    own: np.ndarray
-    driven: np.ndarray
-    basis: tuple[tuple[int, int], ...] = field(metadata={"static": True})
-    order: int = field(metadata={"static": True})
-    direct: int = field(metadata={"static": True})
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
 class Projection:
     """Matrices and error bounds of a projection of windows, of one frame.
 
     Fields: R (c, k), K (c, l); step (k, c + k), whose first c columns are P; speaks (c,): the diagonal of W
-    for outer rows; forced: None where no input acts; projected, searched: (2,), on_rows and on_inputs of the
-    error bound of e for d*, and of e and h z for any d within the radii and any h; floor: see above; outer
-    (c,), inner (k,): numbers of rows; weighted: whether windows have weights of their own.
+    for outer rows; off: (2,), on_rows and on_inputs; floor: see above; outer (c,), inner (k,): numbers of
+    rows; weighted: whether windows have weights of their own.
     """
 
     R: np.ndarray
     K: np.ndarray
     step: np.ndarray
     speaks: np.ndarray
-    forced: Forced | None
-    projected: np.ndarray
-    searched: np.ndarray
+    off: np.ndarray
     floor: np.ndarray
     outer: tuple[int, ...] = field(metadata={"static": True})
     inner: tuple[int, ...] = field(metadata={"static": True})
     weighted: bool = field(metadata={"static": True})
-
-
-class WindowColumns(NamedTuple):
-    """Rows of N windows for a projection: columns (N,), or scalars that are the same in all windows.
-
-    Fields: mid, weight: of the outer rows, then of the inner ones, mid less f, weight = 1 / radius; scale,
-    heaviest, known: (N,), the largest scale, weight and |v| + |offset|.
-    """
-
-    mid: Columns
-    weight: Columns
-    scale: jax.Array
-    heaviest: jax.Array
-    known: jax.Array
-
-
-def projected_margin(given: Projection, columns: WindowColumns) -> jax.Array:
-    """Return a proved lower bound > 0 of the margin (N,) of windows that the d of least squares explains; 0
-    of all others.
-
-    A window that lacks a sample of its rows is one of the others.
-    """
-    c = len(given.outer)
-    z = _less(columns.mid[:c], _times(given.R, columns.mid[c:]))
-    d = _times(given.step[:, :c], z)
-    errors = [*_less(z, _times(given.R, d)), *d]
-    used = most([jnp.abs(e) * weight for e, weight in zip(errors, columns.weight, strict=True)])
-    off = _off(given, given.projected, columns.scale, columns.known)
-    return _explained(used, off * columns.heaviest, jnp.abs(total(d)))
-
-
-def _off(given: Projection, bound: np.ndarray, scale: jax.Array, known: jax.Array) -> jax.Array:
-    """Return an error bound (N,)."""
-    return bound[0] * scale + bound[1] * known + given.floor * (1 + scale + known)
-
-
-def _less(a: Columns, b: Columns) -> list[jax.Array]:
-    return [x - y for x, y in zip(a, b, strict=True)]
-
-
-def _times(A: np.ndarray | jax.Array, x: Columns) -> list[jax.Array]:
-    """Return the columns A x, each added up in order: written out, or in loops where A is large."""
-    rows, count = A.shape
-    if rows * count <= WRITTEN_OUT:
-        return [total([A[j, i] * x[i] for i in range(count)]) for j in range(rows)]
-    stacked = jnp.stack(jnp.broadcast_arrays(*x))
-    product = summed(lambda column, row: column[:, None] * row[None], A, stacked, axes=(1, 0))
-    return list(product)
-
-
-def forced_outputs(
-    given: Forced, inputs: Sequence[Columns], driven: Sequence[Columns]
-) -> list[list[jax.Array]]:
-    """Return f, the columns of each output at each sample: [sample][output].
-
-    Args:
-        inputs: of the first J samples, [sample][input]. driven: for each later sample what the inputs add,
-            [sample][output].
-    """
-    outputs = len(given.own)
-    f: list[list[jax.Array]] = []
-    for j in range(min(given.order, len(inputs) + 1 - given.direct)):
-        terms = [v for now in inputs[: j + given.direct] for v in now]
-        if not terms:
-            f.append([jnp.zeros(())] * outputs)
-            continue
-        f.append(_times(given.first[j * outputs : (j + 1) * outputs, : len(terms)], terms))
-    for later, added in enumerate(driven):
-        before = [f[later + j][i] for j, i in given.basis]
-        f.append([x + y for x, y in zip(added, _times(given.own, before), strict=True)])
-    return f
 
 
 class Rows(NamedTuple):
@@ -266,7 +155,8 @@ def clipped_margin(given: Projection, rows: Rows, stretch: bool = False) -> tupl
     done = use(d) < 1 if stretch else jnp.zeros_like(rows.scale, bool)
     start = d, jnp.zeros_like(z), done, jnp.zeros((), jnp.int32)
     found = jax.lax.while_loop(going, move, Search(*start))
-    used, off = use(found.d), _off(given, given.searched, rows.scale, rows.known_size)
+    used, (on_rows, on_inputs), sizes = use(found.d), given.off, rows.scale + rows.known_size
+    off = on_rows * rows.scale + on_inputs * rows.known_size + given.floor * (1 + sizes)
     inside = _explained(used, off * rows.heaviest, summed(jnp.abs, found.d))
     residual, width = _against(R, z, radius, found.h)
     # at a distance from the boundary at which any other search says the same, and NumPy proves it
@@ -341,36 +231,20 @@ def projection_of(
     radius: np.ndarray,
     outer: Sequence[int],
     inner: Sequence[int],
-    forced: Forced | None,
-    samples: int,
     dtype: DTypeLike,
-    spread: float = 1.0,
-    terms: int = 1,
     weighted: bool = False,
 ) -> Projection | None:
     """Return the Projection of a frame; None where no bound on its rounding is of use.
 
     Args:
         R: (c, k), K (c, l): nearest to the exact ones. radius: (c + k,) >= 0, typical ones, outer rows first.
-            outer, inner: numbers of rows. forced: f. samples: of a window. spread, terms: of the largest sum
-            in a row, the sum of |weights|, and how many these are. weighted: whether windows have weights of
-            their own.
+            outer, inner: numbers of rows. weighted: whether windows have weights of their own.
 
     Encloses: with u the unit roundoff and g(n) = SAFE n u, which bounds what a sum of n - 4 products loses
-    (Higham 2002, lemma 3.1; 4 for a rounded coefficient and for what its factors lack):
+    (Higham 2002, lemma 3.1; 4 for a rounded coefficient and for what its factors lack), rows that are off by
+    16 u S, or (n + 32) u of the magnitude of a sum of n samples (`Reading._summed`), and
 
-        f   E_f <= G (g(driven terms) D S_u + g(own terms) a F S_u), F = G D bounds |f| / S_u;
-            D, a: largest sums of |driven| (or |first|) and |own| in a row, G: of the answer of the recursion
-            to what is added at each sample
-        f   of a row that weighs n samples with the sum of |weights| w: w (E_f + g(n) F S_u), at most w F S_u
-        m   16 u S and 2 u (|m| + |f|) for the difference: e_v; of a sum of samples, off by (n + 4) u of their
-            magnitude and its radius by (n + 8) u, 16 u S is (n + 32) u of it (`Reading._summed`)
-        z   (1 + |R|) e_v + g(k) (1 + |R|) V, V = S + F S_u
-        d   |P| E_z + g(c) |P| |z|
-        e   E_z + |R| E_d + g(k) (|z| + |R| |d|) and 16 u S for the radius
-
-    of a search, where z has the terms of R and K: E_z = (18 u + g(k + l)) ((1 + |R|) S + |K| S_u),
-
+        z            E_z = (18 u + g(k + l)) ((1 + |R|) S + |K| S_u)
         e            E_z + g(k) (|z| + |R| S) and 16 u S for the radius, for d within the radii
         h z - width  E_z + (g(c) + 20 u) |z| + (1 + |R|) (16 u + 2 g(c) + 2 g(k)) S, in units of sum |h|
 
@@ -382,76 +256,29 @@ def projection_of(
     weight = np.maximum((size.min() / size) ** 2, LIGHTEST)
     A = np.concatenate([R.astype(np.float64), np.eye(k)])
     step = np.linalg.solve((A.T * weight) @ A, A.T * weight).astype(dtype)
-    loss, grown = _forced_loss(forced, samples, u)
-    if terms > 1:
-        loss, grown = spread * (loss + _lost(terms, u) * grown), spread * grown
-    through, back = _row_sum(R), _row_sum(step)
-    if not np.isfinite(grown) or not np.isfinite(back):
-        return None
-    g_k, g_c = _lost(k, u), _lost(c, u)
-    V = np.array([1.0, grown])  # on S, on S_u
-    e_v = np.array([16 * u, loss]) + 2 * u * V
-    z = (1 + through) * V
-    e_z = (1 + through) * e_v + g_k * z
-    d = back * z
-    e_d = back * e_z + g_c * d
-    own = np.array([16 * u, 0.0])  # of a radius, which is not above the scale
-    projected = e_z + (1 + through) * e_d + g_k * (z + through * d) + own
-    K_sum, g = _row_sum(K), _lost(k + K.shape[1], u)
-    z = np.array([1 + through, K_sum])
-    e_z = (16 * u + g) * z + 2 * u * z
-    explained = e_z + g_k * (z + through * np.array([1.0, 0.0])) + own
-    spoken = e_z + (g_c + 20 * u) * z + (1 + through) * (own + 2 * (g_c + g_k) * np.array([1.0, 0.0]))
-    searched = np.maximum(explained, spoken)
-    if not (np.maximum(projected, searched) <= MOST * (1 + z + d + V)).all():
+    through, back, known = _row_sum(R), _row_sum(step), _row_sum(K)
+    g, g_k, g_c = _lost(k + K.shape[1], u), _lost(k, u), _lost(c, u)
+    z, on_rows = np.array([1 + through, known]), np.array([1.0, 0.0])  # on S, on S_u
+    e_z = (18 * u + g) * z
+    explained = e_z + g_k * (z + through * on_rows) + 16 * u * on_rows
+    spoken = e_z + (g_c + 20 * u) * z + (1 + through) * (16 * u + 2 * g_c + 2 * g_k) * on_rows
+    off = np.maximum(explained, spoken)
+    if not np.isfinite(back) or not (off <= MOST * (1 + z)).all():
         return None
     floor = (
-        FLUSHED
-        * float(rounding.tiny(dtype))
-        * (1 + through) ** 2
-        * (1 + back)
-        * (1 + grown + _row_sum(K))
-        * (2 + c + k)
+        FLUSHED * float(rounding.tiny(dtype)) * (1 + through) ** 2 * (1 + back) * (1 + known) * (2 + c + k)
     )
     return Projection(
         R,
         K,
         step,
         weight[:c].astype(dtype),
-        forced,
-        (SAFE * projected).astype(dtype),
-        (SAFE * searched).astype(dtype),
-        np.asarray(floor, dtype),
+        (SAFE * off).astype(dtype),
+        np.asarray(FLUSHED * floor, dtype),
         tuple(outer),
         tuple(inner),
         weighted,
     )
-
-
-def _forced_loss(forced: Forced | None, samples: int, u: float) -> tuple[float, float]:
-    """Return (E_f, F) in units of S_u; infinite where the recursion loses too much."""
-    if forced is None:
-        return 0.0, 0.0
-    outputs, terms = len(forced.own), len(forced.basis)
-    gain = _answer(forced, samples, outputs)
-    driven = max(_row_sum(forced.first), _row_sum(forced.driven))
-    lost, own = _lost(terms, u), _row_sum(forced.own)
-    grown = gain * driven
-    if not gain * lost * own < MOST:
-        return np.inf, np.inf
-    inputs = max(forced.first.shape[1], forced.driven.shape[1])
-    return gain * (_lost(inputs, u) * driven + lost * own * SAFE * grown), SAFE * grown
-
-
-def _answer(forced: Forced, samples: int, outputs: int) -> float:
-    """Return the largest sum of magnitudes with which f at a sample answers to what is added at each one."""
-    rows = [np.zeros((outputs, samples * outputs)) for _ in range(samples)]
-    for j in range(samples):
-        rows[j][:, j * outputs : (j + 1) * outputs] = np.eye(outputs)
-        if j >= forced.order:
-            before = np.stack([rows[j - forced.order + a][i] for a, i in forced.basis])
-            rows[j] = rows[j] + forced.own.astype(np.float64) @ before
-    return 1.01 * max(np.abs(row).sum(1).max() for row in rows)
 
 
 def _lost(terms: int, u: float) -> float:

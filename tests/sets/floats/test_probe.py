@@ -29,8 +29,14 @@ EXACTLY = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div":
 def nobody_examined_a_device(monkeypatch, tmp_path):
     """What a user of this machine examined is not what these tests find."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    probe._found.cache_clear()
+    forget()
     yield
+    forget()
+
+
+def forget():
+    """Have the probe ask anew."""
+    probe._named_doubt.cache_clear()
     probe._found.cache_clear()
 
 
@@ -347,7 +353,7 @@ def test_a_card_is_known_by_its_capability_and_refused_until_it_was_examined(mon
     monkeypatch.setattr(examined, "measure", lambda *given: {"error of a quotient": (4.1, 2.84)})
     assert "error of a quotient: 4.1, at most 2.84 assumed" in probe._doubt(Card())
     monkeypatch.setattr(examined, "measure", lambda *given: {"error of a quotient": (1.0, 2.84)})
-    probe._found.cache_clear()
+    forget()
     assert not probe._doubt(Card())
     with jax.enable_x64(False):  # bounds are widened for its quotients
         assert not probe._doubt(Card())
@@ -382,7 +388,7 @@ def test_every_door_that_proves_refuses_fast_math_in_one_sentence():
 
 
 def test_the_probe_finds_fast_math_that_no_name_tells(tmp_path):
-    """Also the command line refuses, with the exit code of bad input."""
+    """Also the command line refuses to compile, with the exit code of bad input; NumPy needs no compiler."""
     jb.save_model(jb.LinearSystem([["1/2"]], None, [[1]], dt=1, noise=0.1), tmp_path / "model.toml")
     (tmp_path / "run.csv").write_text("time,y1\n0,1\n1,0.5\n2,0.9\n")
     code = f"""
@@ -391,14 +397,17 @@ jnp.ones(2) + 1  # the flags are read
 del os.environ["XLA_FLAGS"]
 import jaxbound as jb
 from jaxbound.cli.main import main
+print(jb.detect("{tmp_path}/model.toml", "{tmp_path}/run.csv").counts["FAULT"])
 try:
     jb.pave(lambda z: z * z, jb.interval([0.0], [1.0]), [2.0], q=2)
 except RuntimeError as e:
     print(e)
+jb.compile("always")
 with contextlib.redirect_stderr(sys.stdout):
     print(main(["detect", "{tmp_path}/model.toml", "{tmp_path}/run.csv", "--out", "{tmp_path}/out"]))
 """
-    said, *shown, exit_code = in_a_process_with(FAST, "-c", code).splitlines()
+    faults, said, *shown, exit_code = in_a_process_with(FAST, "-c", code).splitlines()
+    assert faults == "1"
     assert (
         said.startswith("compiled arithmetic in this process is not what proofs rest on (")
         and "two_sum" in said
@@ -457,7 +466,7 @@ def test_a_card_proves_once_its_user_examined_it_with_this_driver_and_these_vers
     monkeypatch.setattr(probe, "usable_devices", lambda: (card,))
     monkeypatch.setattr(probe, "is_cpu_default", lambda: False)
     monkeypatch.setattr(examined, "measure", lambda *given: {"NaN that are lost": (3.0, 0)})
-    probe._found.cache_clear()
+    forget()
     (words,) = probe.examined_devices().values()
     assert "NaN that are lost: 3" in words and probe._doubt(card) and probe.searching_device()
     monkeypatch.setattr(examined, "measure", lambda *given: {"NaN that are lost": (0.0, 0)})
@@ -467,7 +476,7 @@ def test_a_card_proves_once_its_user_examined_it_with_this_driver_and_these_vers
     for damaged in (b"", record.read_bytes().replace(b"H100", b"H900")):
         kept = record.read_bytes()
         record.write_bytes(damaged)
-        probe._found.cache_clear()
+        forget()
         assert probe._doubt(card)
         record.write_bytes(kept)
     changes = (
@@ -480,7 +489,7 @@ def test_a_card_proves_once_its_user_examined_it_with_this_driver_and_these_vers
     for what, name, value in changes:
         with monkeypatch.context() as patch:
             patch.setattr(what, name, value)
-            probe._found.cache_clear()
+            forget()
             assert probe._doubt(card), name
 
 
@@ -517,7 +526,7 @@ def test_arrays_that_lie_on_a_device_that_is_not_verified_are_refused(monkeypatc
 
 
 def test_the_probe_runs_once_and_also_inside_a_trace(monkeypatch):
-    probe._found.cache_clear()
+    forget()
     runs, measure = [], examined.measure
     monkeypatch.setattr(examined, "measure", lambda *given: runs.append(given) or measure(*given))
     F = jb.inclusion(proving.square)
