@@ -39,7 +39,7 @@ def test_what_comes_before_the_first_share_is_not_expected_again(clock, caplog):
             clock[0] = second
             report(share)
     assert [record.getMessage() for record in caplog.records] == [
-        "detect: 2 % done after 13 s, about 2 minutes to go"
+        "detect: 2 % done after 13 s, about 98 seconds to go"
     ]
 
 
