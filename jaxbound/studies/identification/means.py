@@ -53,13 +53,17 @@ def smallest_means(
 
 
 def lowered(
-    noise: np.ndarray, explained: Callable[[np.ndarray], bool], step: Callable[[float], object]
+    noise: np.ndarray,
+    explained: Callable[[np.ndarray], bool],
+    step: Callable[[float], object],
+    hard: Callable[[np.ndarray], bool] | None = None,
 ) -> np.ndarray:
     """Return the smallest bounds (p,) of means that explain all windows.
 
     Args:
         noise: (p,), bounds of single samples, where the search begins. explained: whether all windows are, of
-            bounds (p,) of means. step: as of `smallest_means`.
+            bounds (p,) of means. step: as of `smallest_means`. hard: whether those are that spoke against
+            bounds before, which is sooner known; None: it is not.
     """
     p = len(noise)
     share = np.ones(p)
@@ -68,12 +72,21 @@ def lowered(
         groups += [[i] for i in range(p)]
     for number, group in enumerate(groups):
 
-        def explains(logarithm: float, group: list[int] = group) -> bool:
+        def bounds(logarithm: float, group: list[int] = group) -> np.ndarray:
             trial = share.copy()
             trial[group] = np.exp(logarithm)
-            return explained(trial * noise)
+            return np.asarray(trial * noise)
 
-        share[group] = np.exp(_bisected(explains, np.log(LEAST), np.log(share[group[0]])))
+        most = np.log(share[group[0]])
+
+        def found(asked: Callable[[np.ndarray], bool], most: float = most) -> float:
+            return _bisected(lambda x: asked(bounds(x)), np.log(LEAST), most)
+
+        least = found(hard or explained)
+        while hard is not None and least < most and not explained(bounds(least)):
+            # what spoke against them is hard now, but for what floats say otherwise beside others
+            least = found(explained if hard(bounds(least)) else hard)
+        share[group] = np.exp(least)
         step((number + 1) / len(groups))
     return np.asarray(share * noise)
 

@@ -190,19 +190,22 @@ def searched_means(problem: FitProblem, trial: Trial) -> np.ndarray:
     firsts = [complete_windows(u, y, starts, horizon) for u, y, starts in records]
     hard = [first[:0] for first in firsts]  # windows that spoke against bounds before do so again, mostly
 
-    def explained(bounds: np.ndarray) -> bool:
+    def all_explained(bounds: np.ndarray, those: Sequence[np.ndarray]) -> bool:
         gauge = gauge_of(_averaged(model, samples, bounds))
-        for record, first in zip(records, hard, strict=True):
-            if len(gauge.unexplained(record, first)):
-                return False
-        for number, (record, first) in enumerate(zip(records, firsts, strict=True)):
+        for number, (record, first) in enumerate(zip(records, those, strict=True)):
             against = gauge.unexplained(record, first)
             if len(against):
-                hard[number] = np.append(hard[number], against)
+                hard[number] = np.union1d(hard[number], against)
                 return False
         return True
 
-    return lowered(trial.bound * LOOSE, explained, reporter(None))
+    def explained(bounds: np.ndarray) -> bool:
+        return all_explained(bounds, firsts)
+
+    def hard_ones(bounds: np.ndarray) -> bool:
+        return all_explained(bounds, hard)
+
+    return lowered(trial.bound * LOOSE, explained, reporter(None), hard_ones)
 
 
 def _averaged(model: LinearSystem, samples: int, bounds: np.ndarray) -> LinearSystem:
