@@ -8,6 +8,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.studies.identification import window_tests
+from jaxbound.studies.identification.means import lowered
 from jaxbound.studies.identification.window_tests import WindowChoice, best_test
 
 FEW = (WindowChoice(4), WindowChoice(12), WindowChoice(12, average=4), WindowChoice(12, lags=(0, 1, 4, 12)))
@@ -112,3 +113,22 @@ def test_the_command_shows_each_test_with_its_factor(rng, tmp_path, capsys):
         line = next(line for line in shown.splitlines() if line.startswith(f"test: {words} "))
         assert f"needs {test['factor']:.3g} times; by least squares;" in line
     assert shown.count(" chosen: needs") == 1
+
+
+def test_bounds_of_means_are_the_same_whether_hard_windows_are_asked_first_or_all(rng):
+    asks = rng.uniform(1, 40, (300, 2))  # a window is explained if its weighted bounds reach 1
+
+    def explained(bounds):
+        against = np.flatnonzero(asks @ bounds < 1)
+        hard.extend(against[:1])
+        return not len(against)
+
+    def hard_ones(bounds):
+        return bool((asks[hard] @ bounds >= 1).all())
+
+    found = []
+    for first in (None, hard_ones):
+        hard = []
+        found.append(lowered(np.array([0.6, 0.9]), explained, lambda share: None, first))
+    np.testing.assert_array_equal(*found)
+    assert (asks @ found[0]).min() == pytest.approx(1, rel=0.02) and len(hard) < 20
