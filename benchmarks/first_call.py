@@ -422,14 +422,14 @@ def main():
     if args.case:
         print(json.dumps({name: measured(name, args.dumped) for name in args.case.split(";")}))
         return
-    if args.lowered:
-        found = {name: lowered(name) for name in CASES if name not in ALIKE}
-        Path(args.lowered).write_text(json.dumps(found, indent=1) + "\n")
-        return
     wanted, found = [name.strip() for name in args.only.split(";") if name.strip()], {}
     if unknown := [name for name in wanted if name not in every]:
         parser.error(f"--only does not know {', '.join(unknown)}")
     cases = [name for name in wanted if name in CASES]
+    if args.lowered:
+        found = {name: lowered(name) for name in cases if name not in ALIKE}
+        Path(args.lowered).write_text(json.dumps(found, indent=1) + "\n")
+        return
     if args.counts:
         found = counted(cases)
     else:

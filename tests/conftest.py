@@ -43,20 +43,36 @@ BY_NIGHT = Path(__file__).with_name("by_night.txt")
 """Names of tests that take seconds, beside a smaller case of the same; `.ci/night.py` writes it."""
 
 
+NEVER_BY_DAY = pytest.StashKey[list[str]]()
+"""Tests that have no case by day, and name no other test that has."""
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m asks for marks
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(config, items):
     """Leave to the night what `by_night.txt` names. Skip, where the system is not POSIX, the tests marked
     `posix("what they need")`.
     """
     by_night = set(BY_NIGHT.read_text().splitlines())
+    asked, answered = set(), set()
     for item in items:
         if item.nodeid in by_night:
             item.add_marker("long")
+        function, marks = item.nodeid.partition("[")[0], list(item.iter_markers("long"))
+        asked.add(function)
+        if not marks or any("by_day" in mark.kwargs for mark in marks):
+            answered.add(function)
+    config.stash[NEVER_BY_DAY] = sorted(asked - answered)
     if os.name == "posix":
         return
     for item in items:
         for marker in item.iter_markers("posix"):
             item.add_marker(pytest.mark.skip(reason=f"needs {marker.args[0]}, which this system lacks"))
+
+
+@pytest.fixture
+def never_by_day(request):
+    """Return which of the tests that were collected have no case by day and name no other test that has."""
+    return request.config.stash[NEVER_BY_DAY]
 
 
 def _spent():
@@ -126,6 +142,18 @@ def compiled(request):
 def many(monkeypatch):
     """Judge few windows as many are: easy ones first."""
     monkeypatch.setattr("jaxbound.consistency.interface.MANY", 1)
+
+
+@pytest.fixture
+def as_compiled(monkeypatch):
+    """Take the way of programs that XLA made, block by block, easy windows first; NumPy evaluates them."""
+    for place in (
+        "consistency.drive",
+        "consistency.exchange",
+        "consistency.parametric",
+        "estimation.set_observer",
+    ):
+        monkeypatch.setattr(f"jaxbound.{place}.is_outside_xla", lambda: False)
 
 
 MAPPINGS = 40_000

@@ -76,14 +76,11 @@ def test_growth_is_seen():
 LARGE = [name for name in first_call.CASES if name.endswith(("20", "40"))]
 
 
+@pytest.mark.long(by_day="test_no_first_call_hands_half_as_much_again_to_the_compiler")
 @pytest.mark.parametrize(
     "cases",
-    [
-        pytest.param(
-            [name for name in first_call.CASES if name not in LARGE], id="all", marks=pytest.mark.long
-        ),
-        pytest.param(LARGE, id="20 samples and more", marks=pytest.mark.long),
-    ],
+    [[name for name in first_call.CASES if name not in LARGE], LARGE],
+    ids=["all", "20 samples and more"],
 )
 def test_no_optimised_program_grows_by_half(cases, tmp_path):
     counted(tmp_path, "--counts", "--out", str(tmp_path / "now"), "--only", ";".join(cases))

@@ -2,13 +2,13 @@
 documented.
 """
 
-import ast
 import inspect
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from sources import imports
 
 import jaxbound as jb
 
@@ -48,19 +48,11 @@ FILES = {
 OUTSIDE = "__init__"  # the public names: whoever asks for one of them from inside wants the version
 
 
-def imported(path):
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            yield from (a.name for a in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path} has a relative import"
-            yield from (f"{node.module}.{a.name}" for a in node.names)
-
-
 def depends(path):
     """Return the files of the package that a file imports, wherever in it."""
     found = set()
-    for name in imported(path):
+    for module, within in imports(path):
+        name = f"{module}.{within}".rstrip(".")
         if name.split(".")[0] == "jaxbound" and name != "jaxbound.__version__":
             inner = name.removeprefix("jaxbound").removeprefix(".")
             while inner and inner not in FILES:
@@ -174,31 +166,23 @@ def test_the_top_has_verbs_and_what_is_constructed_and_types_of_results_live_in_
     )
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         _ = jb.nothing
-    seen = {
-        name.rpartition(".")[2] for name in imported(FILES[OUTSIDE])
-    }  # what type checkers and the pages read
+    seen = {name for _, name in imports(FILES[OUTSIDE])}  # what type checkers and the pages read
     assert verbs - {"sets"} <= seen, verbs - seen
 
 
-def test_import_loads_nothing_heavy_beyond_jax():
-    code = (
-        "import sys, jax; before = set(sys.modules); import jaxbound; [getattr(jaxbound, name) for name in "
-        "jaxbound.__all__];"
-        "print([m for m in set(sys.modules) - before if m.split('.')[0] in ('pandas', 'matplotlib', "
-        "'pyarrow', 'rich', 'scipy', 'jinja2')])"
-    )
+def test_import_loads_nothing_heavy_beyond_jax_makes_no_arrays_and_changes_no_configuration():
+    code = """
+import sys, jax
+modules, configuration = set(sys.modules), dict(jax.config.values)
+import jaxbound
+for name in jaxbound.__all__:
+    getattr(jaxbound, name)
+heavy = {"pandas", "matplotlib", "pyarrow", "rich", "scipy", "jinja2"}
+print([m for m in set(sys.modules) - modules if m.split(".")[0] in heavy])
+print(len(jax.live_arrays()), len(configuration) > 20 and dict(jax.config.values) == configuration)
+"""
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert out.strip() == "[]"
-
-
-def test_import_makes_no_arrays_and_changes_no_configuration():
-    code = (
-        "import jax; before = dict(jax.config.values); import jaxbound as jb; [getattr(jb, name) for name in "
-        "jb.__all__];"
-        "print(len(jax.live_arrays()), len(before) > 20 and dict(jax.config.values) == before)"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert out.split() == ["0", "True"]
+    assert out.split() == ["[]", "0", "True"]
 
 
 def test_import_itself_loads_nothing_not_even_jax():

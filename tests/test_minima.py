@@ -2,32 +2,22 @@
 lowest` then tests.
 """
 
-import ast
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
+from sources import imports
+
 ROOT = Path(__file__).parents[1]
+FILES = sorted((ROOT / "jaxbound").rglob("*.py"))
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-
-
-def imported(path):
-    for node in ast.walk(ast.parse(path.read_text())):
-        modules = (
-            [a.name for a in node.names]
-            if isinstance(node, ast.Import)
-            else [node.module]
-            if isinstance(node, ast.ImportFrom)
-            else []
-        )
-        yield from (m.split(".")[0] for m in modules)
 
 
 def test_every_package_that_is_imported_is_declared():
     declared = {requirement.partition(">=")[0] for requirement in PROJECT["dependencies"]}
     found = (
-        {name for path in (ROOT / "jaxbound").rglob("*.py") for name in imported(path)}
+        {module.split(".")[0] for path in FILES for module, _ in imports(path)}
         - set(sys.stdlib_module_names)
         - {"jaxbound"}
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from sources import last_name
 
 SEEDED = {"default_rng", "Generator", "PCG64", "SeedSequence", "Random", "RandomState"}
 FRESH = {"urandom", "uuid1", "uuid4", "token_bytes", "token_hex", "randbytes", "SystemRandom", "entropy"}
@@ -24,17 +25,19 @@ def fresh_draws(text):
         if isinstance(node, ast.Attribute):
             if node.attr in FRESH:
                 yield node.lineno, node.attr
+            if last_name(node.value) != "random":
+                continue
             if (owner := ast.unparse(node.value)) in MODULES and node.attr not in MODULES[owner]:
                 yield node.lineno, f"{owner}.{node.attr}"
         if not isinstance(node, ast.Call):
             continue
-        name = ast.unparse(node.func).split(".")[-1]
+        name = last_name(node.func)
         given = [*node.args, *(k.value for k in node.keywords)]
         if name in SEEDED and (not given or ast.unparse(given[0]) == "None"):
             yield node.lineno, f"{name} without a seed"
         if name in (*SEEDED, "key", "PRNGKey", "seed"):
             inner = [call for x in given for call in ast.walk(x) if isinstance(call, ast.Call)]
-            if any(ast.unparse(call.func).split(".")[-1] in CLOCKS for call in inner):
+            if any(last_name(call.func) in CLOCKS for call in inner):
                 yield node.lineno, f"{name} of a clock"
 
 

@@ -7,6 +7,7 @@ import textwrap
 from pathlib import Path
 
 import pytest
+from sources import last_name
 
 HELPERS = ("assert", "check", "confirm", "fail", "raises", "warns")  # how calls begin that assert
 
@@ -17,7 +18,7 @@ def asserts(node):
 
 
 def called(call):
-    return ast.unparse(call.func).split(".")[-1].lstrip("_").startswith(HELPERS)
+    return last_name(call.func).lstrip("_").startswith(HELPERS)
 
 
 def leaves(statements):
@@ -160,6 +161,8 @@ def timed(source):
     """Return the lines of assertions that compare seconds of a clock on the wall, which a busy machine
     stretches: count calls (`counted_calls`) or traces, or compare CPU time.
     """
+    if "time." not in source:
+        return []
     tree, lines = ast.parse(source), []
     for function in (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)):
         nodes = list(ast.walk(function))

@@ -76,13 +76,8 @@ def test_joint_verdict_of_the_paper_equals_the_linear_program(horizon, rng):
     compare("paper", horizon, 1_000, rng)
 
 
-@pytest.mark.parametrize(
-    "horizon",
-    [
-        *(pytest.param(s, marks=pytest.mark.long) for s in (1,)),
-        *(pytest.param(s, marks=pytest.mark.long) for s in (2, 3, 4)),
-    ],
-)
+@pytest.mark.long(by_day="test_joint_verdict_of_the_paper_equals_the_linear_program")
+@pytest.mark.parametrize("horizon", [1, 2, 3, 4])
 def test_joint_verdict_of_the_paper_equals_the_linear_program_a_hundred_thousand_times(horizon, rng):
     compare("paper", horizon, 30_000, rng)
 
@@ -95,10 +90,8 @@ def test_joint_verdict_of_other_models_equals_the_linear_program(name, horizon, 
     compare(name, horizon, 1_000, rng)
 
 
-@pytest.mark.parametrize(
-    "horizon",
-    [pytest.param(2, marks=pytest.mark.long), *(pytest.param(s, marks=pytest.mark.long) for s in (1, 3))],
-)
+@pytest.mark.long(by_day="test_joint_verdict_of_other_models_equals_the_linear_program")
+@pytest.mark.parametrize("horizon", [1, 2, 3])
 @pytest.mark.parametrize("name", [name for name in MODELS if name != "paper"])
 def test_joint_verdict_of_other_models_equals_the_linear_program_ten_thousand_times(name, horizon, rng):
     compare(name, horizon, 10_000 if horizon < 3 else 3_000, rng)

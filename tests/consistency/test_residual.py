@@ -66,7 +66,12 @@ def test_unknowns_at_their_bounds_raise_no_fault(rng):
 
 
 @pytest.mark.parametrize(
-    "s, T", [pytest.param(1, 60, marks=pytest.mark.long), pytest.param(2, 400, marks=pytest.mark.long)]
+    "s, T",
+    [
+        (1, 30),
+        pytest.param(1, 60, marks=pytest.mark.long),
+        pytest.param(2, 400, marks=[pytest.mark.long, pytest.mark.compiled]),  # solves
+    ],
 )
 def test_it_agrees_with_the_joint_test_of_a_linear_model(rng, s, T):
     model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1)

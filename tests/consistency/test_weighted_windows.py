@@ -49,7 +49,7 @@ def test_sensors_without_tolerances_have_one_matrix():
     assert not relations.test("joint", np.float64).easy.stretches.projection.weighted
 
 
-@pytest.mark.compiled
+@pytest.mark.usefixtures("as_compiled")
 @pytest.mark.usefixtures("many")
 def test_where_no_window_is_easy_few_are_asked(monkeypatch, rng):
     asked, judge_all = [], drive._Gathering.judge_all

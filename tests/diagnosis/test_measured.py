@@ -14,7 +14,7 @@ from jaxbound.consistency import interface
 from jaxbound.diagnosis import measuring
 from jaxbound.sets.floats.status import Status
 
-pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("many")]
+pytestmark = pytest.mark.usefixtures("many", "as_compiled")
 
 T = 260
 GUST = MODELS["paper"] | dict(disturbance=([[0], [1]], 0.05))

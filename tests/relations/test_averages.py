@@ -141,8 +141,7 @@ def test_verdicts_and_the_size_of_margins_are_those_of_a_linear_program(kind):
 
 
 @pytest.mark.parametrize("kind", ["disturbed", pytest.param("lags", marks=SLOW)])
-@pytest.mark.compiled
-@pytest.mark.usefixtures("many")
+@pytest.mark.usefixtures("many", "as_compiled")
 def test_windows_that_are_settled_first_have_margins_that_a_linear_program_confirms(kind):
     u, y, exact = detected(kind)
     r = relations(kind)

@@ -36,14 +36,8 @@ def standard_error(tally):
     return rate, (n / (n - 1) * (squares - 2 * rate * crossed + rate**2 * squared)) ** 0.5 / windows
 
 
-@pytest.mark.parametrize(
-    "hold",
-    [
-        pytest.param(10, marks=pytest.mark.long),
-        pytest.param(20, marks=pytest.mark.long),
-        pytest.param(50, marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long(by_day="diagnosis/test_scenario::test_detection_rate_grows_with_the_horizon_as_golden")
+@pytest.mark.parametrize("hold", [10, 20, 50])
 def test_rates_are_the_golden_ones(hold, golden, rng):
     expected = golden["p0"]["scenario_mc"][f"hold{hold}"]
     runs = 30_000
@@ -285,21 +279,16 @@ def test_the_adversary_hides_whatever_a_linear_program_can_hide():
 
 
 @pytest.mark.parametrize(
-    "devices",
-    [
-        pytest.param(8, marks=pytest.mark.long),
-        pytest.param(2, marks=pytest.mark.long),
-        pytest.param(4, marks=pytest.mark.long),
-    ],
+    ("devices", "count"), [(2, 2000), *(pytest.param(n, 40_000, marks=pytest.mark.long) for n in (2, 4, 8))]
 )
-def test_counts_are_the_same_on_many_devices(devices, kernels):
+def test_counts_are_the_same_on_many_devices(devices, count, kernels):
     """Blocks sharded over virtual devices of a process of its own, and one block after the other in this
     one.
     """
     code = (
         "import jax; jax.config.update('jax_enable_x64', True); import jaxbound as jb;"
         "m = jb.LinearSystem([[0.8]], [[1]], [[1]], noise=0.1, tolerance=0.005);"
-        "r = jb.study(m, ['y1:bias', 'u1:bias'], 40000, 3, sizes=[0.1, 0.4], samples=40, at='vertices');"
+        f"r = jb.study(m, ['y1:bias', 'u1:bias'], {count}, 3, sizes=[0.1, 0.4], samples=40, at='vertices');"
         "print(jax.local_device_count(), [{k: x.tolist() for k, x in t.arrays().items()} for t in r.tallies])"
     )
     env = os.environ | {
@@ -309,7 +298,7 @@ def test_counts_are_the_same_on_many_devices(devices, kernels):
     out = subprocess.run(
         [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True
     ).stdout
-    here = jb.study(simple(), ["y1:bias", "u1:bias"], 40_000, 3, sizes=[0.1, 0.4], samples=40, at="vertices")
+    here = jb.study(simple(), ["y1:bias", "u1:bias"], count, 3, sizes=[0.1, 0.4], samples=40, at="vertices")
     assert out == f"{devices} {[{k: x.tolist() for k, x in t.arrays().items()} for t in here.tallies]}\n"
 
 

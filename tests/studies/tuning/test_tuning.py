@@ -105,7 +105,7 @@ def test_several_bounds_come_within_2_percent_of_the_program_over_all_of_them(gu
     assert jb.detect(res.relations, u, y).counts["CONSISTENT"] == 150
 
 
-@pytest.mark.parametrize("plant, s", [slow(TOLERANT, 1), long(dict(BLOWN, tolerance=[0.02, 0.1]), 2)])
+@pytest.mark.parametrize("plant, s", [(TOLERANT, 1), long(dict(BLOWN, tolerance=[0.02, 0.1]), 2)])
 def test_gradient_is_that_of_the_proved_scale(plant, s, rng):
     u, y = tuning_case.recording(Plant(**plant), 60, rng)
     r = relations(plant, s)
@@ -120,8 +120,8 @@ def test_gradient_is_that_of_the_proved_scale(plant, s, rng):
     inside = Seen(log_factors(z, problem, *healthy), np.ones(len(ends), bool))
     found, hard, _ = gradient(z, problem, (0, 1.0), inside, None)
     h = 1e-6
-    quotients = [(value(z + h * e) - value(z - h * e)) / (2 * h) for e in np.eye(len(z))]
-    np.testing.assert_allclose(found, quotients, atol=2e-4)
+    for e in np.eye(len(z))[[0, -1]]:  # a tolerance and a noise
+        np.testing.assert_allclose(found @ e, (value(z + h * e) - value(z - h * e)) / (2 * h), atol=2e-4)
     assert abs(float(hard)) < 1e-9
 
 

@@ -89,10 +89,8 @@ def test_statement_says_what_it_rests_on(rng):
     assert some.blocks == 5 and some.average == 1 / 6
 
 
-@pytest.mark.parametrize(
-    "steps, trials",
-    [pytest.param(0, 25, marks=pytest.mark.long), pytest.param(40, 100, marks=pytest.mark.long)],
-)
+@pytest.mark.long(by_day="test_statement_says_what_it_rests_on")
+@pytest.mark.parametrize("steps, trials", [(0, 25), (40, 100)])
 def test_new_blocks_alarm_no_more_often_than_stated(steps, trials, rng):
     r = jb.parity_relations(
         jb.LinearSystem(**{**TOLERANT, "tolerance": [0.05, 0.05], "noise": [0.05, 0.05]}), 1
