@@ -28,6 +28,7 @@ def shell(tmp_path, monkeypatch):
     return lambda *words: main.main([str(w) for w in words])
 
 
+@pytest.mark.long(by_day="diagnosis/test_tclab::test_the_unseen_half_of_the_healthy_run_has_no_fault")
 @pytest.mark.parametrize("safety, least", [("1.25", (1.0, 0.2, 0.5)), ("1", (1.0, 0.7, 0.95))])
 def test_temperature_lab(safety, least, shell, shared, tmp_path):
     """No FAULT on the half of a run that nobody has seen; jumps of 2 degC of T1 within 5 samples always, of 1

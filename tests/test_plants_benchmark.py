@@ -69,6 +69,7 @@ def test_a_folder_without_healthy_files_is_refused_in_a_sentence(tmp_path, measu
         measured("skab", "--data", tmp_path)
 
 
+@pytest.mark.long(by_day="test_rows_of_a_folder_in_the_layout_of_skab_are_scored")
 def test_the_heater_has_no_false_alarm_and_every_large_bias_is_seen(measured, shared):
     figures = measured("heater", "--data", shared("data/tclab/mimo_prbs_3s.csv").parent)
     rows = {row["recording"]: row for row in figures["rows"]}

@@ -7,7 +7,7 @@ import textwrap
 from pathlib import Path
 
 import pytest
-from sources import last_name
+from sources import BODIES, last_name, statements
 
 HELPERS = ("assert", "check", "confirm", "fail", "raises", "warns")  # how calls begin that assert
 
@@ -122,7 +122,7 @@ def branches(node, known=frozenset()):
             yield from branches(s, known | {negated(node.test)})
     else:
         inner = frozenset() if isinstance(node, ast.For | ast.While | ast.FunctionDef) else known
-        for child in ast.iter_child_nodes(node):
+        for child in (s for body in BODIES for s in getattr(node, body, ())):
             yield from branches(child, inner)
 
 
@@ -130,8 +130,8 @@ def vacuous(source):
     """Return {line: why} of tests that pass where nothing was asserted, and of assertions that hold whatever
     happens.
     """
-    found = {}
-    for node in ast.walk(ast.parse(source)):
+    found, tree = {}, ast.parse(source)
+    for node in statements(tree):
         if (
             isinstance(node, ast.FunctionDef)
             and node.name.startswith("test_")
@@ -142,7 +142,7 @@ def vacuous(source):
                 f"{node.name}: every assertion is under an if; count those that were reached, and assert the "
                 f"count"
             )
-    for assertion, known in branches(ast.parse(source)):
+    for assertion, known in branches(tree):
         if holds_always(assertion.test, known):
             found[assertion.lineno] = "an assertion, or an arm of it, that holds whatever happens"
     return found

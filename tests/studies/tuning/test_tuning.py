@@ -125,7 +125,7 @@ def test_gradient_is_that_of_the_proved_scale(plant, s, rng):
     assert abs(float(hard)) < 1e-9
 
 
-def healthy_and_faulty(rng, T=400):
+def healthy_and_faulty(rng, T=200):
     plant = Plant(**TOLERANT)
     recordings = [tuning_case.recording(plant, T, rng) for _ in range(3)]
     recordings[2][1][:, 1] += 0.2
@@ -136,8 +136,8 @@ def test_faulty_windows_are_left_outside_and_no_healthy_one(rng):
     good, bad = healthy_and_faulty(rng)
     r = relations(dict(BASE, tolerance=[0.05, 0.05], noise=[0.05, 0.5]), 1)  # noise of y2 far too large
     before = jb.tune(r, good, bad, steps=0, safety=1.1)
-    res = jb.tune(r, good, bad, steps=150, calibrate=0, safety=1.1)
-    assert res.counts["FAULT"] == res.counts["UNDECIDED"] == 0 and res.counts["CONSISTENT"] == 2 * 399
+    res = jb.tune(r, good, bad, steps=80, calibrate=0, safety=1.1)
+    assert res.counts["FAULT"] == res.counts["UNDECIDED"] == 0 and res.counts["CONSISTENT"] == 2 * 199
     assert res.caught > before.caught + 0.1
     assert sum(jb.detect(res.relations, *x).counts["FAULT"] for x in bad) == res.faulty_counts["FAULT"]
     assert res.history["outside"][-1] > before.caught
@@ -166,13 +166,13 @@ def test_interrupted_and_called_again_gives_the_same(rng, tmp_path):
         if share >= 0.3:
             raise KeyboardInterrupt
 
-    whole = jb.tune(r, good, steps=60)
+    whole = jb.tune(r, good, steps=30)
     part = jb.tune(
-        r, good, steps=60, state=state, progress=lambda share: stop(share) if share < 0.9 else None
+        r, good, steps=30, state=state, progress=lambda share: stop(share) if share < 0.9 else None
     )
-    again = jb.tune(r, good, steps=60, state=state)
-    assert part.stopped and 0 < part.steps < 60 and part.counts["FAULT"] == 0
-    assert not again.stopped and again.steps == 60 and len(jb.plot(again).axes) == 3
+    again = jb.tune(r, good, steps=30, state=state)
+    assert part.stopped and 0 < part.steps < 30 and part.counts["FAULT"] == 0
+    assert not again.stopped and again.steps == 30 and len(jb.plot(again).axes) == 3
     for name, bound in whole.smallest.items():
         np.testing.assert_array_equal(bound, again.smallest[name])
     np.testing.assert_array_equal(whole.history["width"], again.history["width"])
@@ -180,9 +180,9 @@ def test_interrupted_and_called_again_gives_the_same(rng, tmp_path):
         ValueError,
         match="state.npz is of another healthy recordings and share held out: choose another place",
     ):
-        jb.tune(r, good[:1], steps=60, state=state)
+        jb.tune(r, good[:1], steps=30, state=state)
     with pytest.raises(ValueError, match="state.npz is of another optimizer: choose another place"):
-        jb.tune(r, good, optimizer=optax.sgd(0.1, momentum=0.9), steps=60, state=state)
+        jb.tune(r, good, optimizer=optax.sgd(0.1, momentum=0.9), steps=30, state=state)
 
 
 @pytest.mark.parametrize(
