@@ -93,7 +93,7 @@ def test_steps_and_bursts_equal_detect_bit_by_bit(rng, name, dtype):
     assert state.samples == 700 and state.follows == r.horizon
 
 
-@pytest.mark.usefixtures("as_compiled")
+@pytest.mark.compiled
 def test_the_exchange_search_too(rng):
     r = jb.parity_relations(paper(), 20)
     u, y = recording(rng, r.model, 1600, spread=1.03)

@@ -22,7 +22,7 @@ from jaxbound.runs.digest import detect_dataset
 from jaxbound.runs.judges import Live
 from jaxbound.runs.summary import summarised
 
-pytestmark = pytest.mark.usefixtures("as_compiled")
+pytestmark = pytest.mark.compiled
 
 SEEN = {"u1": (-0.5, 0.5)}
 

@@ -10,7 +10,7 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.sets.floats.status import Status
 
-pytestmark = pytest.mark.usefixtures("as_compiled")
+pytestmark = pytest.mark.compiled
 
 RUNS, SAMPLES = 3000, 201
 FAULTS = {
