@@ -10,9 +10,10 @@ from typing import TypeVar
 import jax
 import numpy as np
 
+from jaxbound.estimation.arrays import Array
 from jaxbound.sets.floats.threads import inherited
 
-__all__ = ["chosen", "in_blocks", "in_lanes", "repeated"]
+__all__ = ["chosen", "in_blocks", "in_lanes", "recordings_of", "repeated"]
 
 T = TypeVar("T")
 
@@ -20,6 +21,27 @@ T = TypeVar("T")
 def chosen(tree: T, lanes: np.ndarray) -> T:
     """Return some recordings of arrays, in the order of memory that all have."""
     some: T = jax.tree.map(lambda x: np.take(x, lanes, -1), tree)
+    return some
+
+
+def recordings_of(tree: T, count: int, numbers: np.ndarray) -> T:
+    """Return recordings of the carry of `count`, of each of which as many entries follow each other; all of a
+    number that they share.
+
+    Args:
+        numbers: of the recordings; one of a single recording is that of all.
+    """
+
+    def own(x: Array) -> np.ndarray:
+        x = np.asarray(x)
+        if not x.ndim:
+            return x
+        *lead, entries = x.shape
+        each = entries // count
+        rows = x.reshape(*lead, count, each)
+        return np.take(rows, numbers % count, -2).reshape(*lead, len(numbers) * each)
+
+    some: T = jax.tree.map(own, tree)
     return some
 
 

@@ -190,7 +190,7 @@ class JointObserver(SetObserver[JointState]):
             return first
 
         def split_lanes(x: Array) -> np.ndarray:
-            return np.moveaxis(np.asarray(x).reshape(*x.shape[:-1], lanes, -1), -2, 0)
+            return np.moveaxis(np.asarray(x).reshape(*x.shape[:-1], x.shape[-1] // lanes, lanes), -1, 0)
 
         rows, back = self._directions(number)
         c, G, r, age = map(split_lanes, state.carry[:4])
@@ -318,8 +318,8 @@ class JointObserver(SetObserver[JointState]):
         """
         t = int(state.samples)
         block = t // self.half * self.half
-        ages = after.age.reshape(len(self.weights), -1)
-        since = np.where((ages >= 0).all(0), t + T - ages.max(0), t + T)
+        ages = after.age.reshape(-1, len(self.weights))
+        since = np.where((ages >= 0).all(1), t + T - ages.max(1), t + T)
         state = state._replace(carry=after, samples=state.samples + T)
         return _believed(state, since <= block - self.half, since <= block, since == 0)
 

@@ -3,33 +3,28 @@
 import numpy as np
 
 from jaxbound.estimation.zonotope_steps import Found
-from jaxbound.sets.floats.status import Status
 
 __all__ = ["emptied", "joined"]
 
 
-def joined(found: Found) -> Found:
-    """Return the verdict of sets side by side (.., lanes, N): one of them refutes for all, the state is in
-    each.
+def joined(found: Found, lanes: int) -> Found:
+    """Return the verdict (.., N) of sets side by side (.., N lanes): one of them refutes for all, the state
+    is in each.
     """
-    if found.status.shape[-2] == 1:
-        return Found(*(x[..., 0, :] for x in found))
-    age = np.where((found.age > 0).all(-2), found.age.max(-2), 0)
-    return Found(found.status.max(-2), found.margin.min(-2), age, found.states.min(-2), found.outputs.min(-2))
+    if lanes == 1:
+        return found
+    # by lane: the last axis of a few is no vector code
+    status, margin, age, states, outputs = (
+        np.moveaxis(np.asarray(x).reshape(*x.shape[:-1], x.shape[-1] // lanes, lanes), -1, 0) for x in found
+    )
+    age = np.where((age > 0).all(0), age.max(0), 0)
+    return Found(status.max(0), margin.min(0), age, states.min(0), outputs.min(0))
 
 
-def emptied(found: Found, before: np.ndarray | None) -> Found:
-    """Return Found with NaN for the ends of sets that are empty: behind a FAULT that stays, and where sets
+def emptied(found: Found, gone: np.ndarray) -> Found:
+    """Return Found with NaN for the ends of sets that are empty: where all are `gone` (T, N), and where sets
     have nothing in common.
-
-    Args:
-        found: of T samples, (T, .., N). before: (N,), which recordings were refuted before these, where a
-            FAULT stays; else None.
     """
-    gone = np.zeros(found.status.shape, bool)
-    if before is not None:
-        fault = np.asarray(found.status) == Status.FAULT
-        gone = fault & np.concatenate([np.broadcast_to(before, fault[:1].shape), fault[:-1]])
     kept = []
     for ends in (found.states, *np.split(found.outputs, 2, 1)):
         least, most = np.split(ends, 2, 1)

@@ -11,7 +11,6 @@ encloses states as well, is another value (`dataclasses.replace`) that shares th
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Generic, NamedTuple, Self
@@ -25,7 +24,7 @@ from jaxbound.consistency.interface import Budget, Judged, Observer
 from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.estimation import zonotope_steps as steps
 from jaxbound.estimation.arrays import Array
-from jaxbound.estimation.blocks import chosen, in_blocks
+from jaxbound.estimation.blocks import chosen, in_blocks, recordings_of
 from jaxbound.estimation.lanes import emptied, joined
 from jaxbound.estimation.observation import Observation, State
 from jaxbound.estimation.observed_plant import ObservedModel, ObservedPlant, observed_plant
@@ -234,12 +233,11 @@ class SetObserver(Observer[State], Generic[State]):
         samples XLA follows the first. Only a FAULT that rests on samples of a piece before, which nobody
         keeps, begins with the set that was carried to there.
         """
-        anew, first = samples.fresh.copy(), fault
-        if self.restart:
-            anew[1:] |= fault[:-1]
-        else:  # of a FAULT that stays, the first
-            first = fault & ~_staying(self._refuted_before(carry), fault, samples.fresh)
-        begins = np.maximum.accumulate(np.where(anew, np.arange(len(fault))[:, None], 0))
+        numbers, behind = np.arange(len(fault))[:, None], self._behind_faults(carry, fault)
+        anew, first = samples.fresh | behind, fault
+        if not self.restart:  # of a FAULT that stays, the first
+            anew, first = samples.fresh, fault & ~behind
+        begins = np.maximum.accumulate(np.where(anew, numbers, 0))
         ends = np.argwhere(first)
         rounds = [(len(fault), 1)]
         if self.plant.start is not None:  # samples show the state
@@ -252,14 +250,14 @@ class SetObserver(Observer[State], Generic[State]):
             ends = ends[gone]
         gone = np.zeros(fault.shape, bool)
         gone[tuple(ends.T)] = True
-        if not self.restart:  # a FAULT that stays goes as a whole
-            gone |= _staying(np.zeros_like(fault[0]), gone, samples.fresh | ~fault)
-        return gone
+        # a FAULT that stays goes as a whole
+        whole = np.take_along_axis(gone, np.maximum.accumulate(np.where(first, numbers, 0)), 0)
+        return np.asarray(whole & fault)
 
-    def _refuted_before(self, carry: State) -> np.ndarray:
-        """Return (N,) bool: which recordings any of their sets refuted before."""
-        empty = np.asarray(carry.carry.empty).reshape(len(self.weights), -1)
-        return np.asarray(empty.any(0))
+    def _behind_faults(self, carry: State, fault: np.ndarray) -> np.ndarray:
+        """Return (T, N): which samples follow a FAULT (T, N) of the recording; carry: before them."""
+        before = np.asarray(carry.carry.empty).reshape(-1, len(self.weights)).any(1)
+        return np.concatenate([np.broadcast_to(before, fault[:1].shape), fault[:-1]])
 
     def _again(self, carry: State, samples: Piece, begin: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Return (K,) bool: which FAULTs the samples from begin (K,) on show. ends (K, 2): their samples, and
@@ -269,7 +267,8 @@ class SetObserver(Observer[State], Generic[State]):
         rows = np.minimum(begin + np.arange((last - begin).max() + 1)[:, None], last)
         some = jax.tree.map(lambda x: np.moveaxis(np.moveaxis(x, -1, 1)[rows, numbers], 1, -1), samples)
         some.fresh[0] |= begin > 0  # what is carried to the first sample of all is the only set believed
-        own: Any = self._of_recordings(carry, numbers)  # a NamedTuple, whatever fields a method has
+        # a NamedTuple, whatever fields a method has
+        own: Any = recordings_of(carry, self._count(carry), numbers)
         if len(begin) == 1:  # windows begin where they began
             own = own._replace(samples=carry.samples + begin[0])
         state: State = own
@@ -281,19 +280,9 @@ class SetObserver(Observer[State], Generic[State]):
         shown = np.asarray(found.status) == Status.FAULT
         return np.asarray((shown & (begin + np.arange(near, len(rows))[:, None] <= last)).any(0))
 
-    def _of_recordings(self, carry: State, numbers: np.ndarray) -> State:
-        """Return the carry of some recordings; one of a single recording is that of all."""
-        count = carry.carry.age.shape[-1] // len(self.weights)
-
-        def own(x: Array) -> np.ndarray:
-            x = np.asarray(x)
-            if not x.ndim:
-                return x
-            places = np.arange(x.shape[-1]).reshape(-1, count)[:, numbers % count]
-            return x[..., places.ravel()]
-
-        some: State = jax.tree.map(own, carry)
-        return some
+    def _count(self, carry: State) -> int:
+        """Return how many recordings a carry follows."""
+        return int(carry.carry.age.shape[-1]) // len(self.weights)
 
     def enclosed(self, recording: Recording) -> Observation | Judged:
         """Return the verdicts of `fold` on a recording, decided once: FAULTs are proved already."""
@@ -315,9 +304,8 @@ class SetObserver(Observer[State], Generic[State]):
         u, y = np.asarray(piece.u), np.asarray(piece.y)
         *lead, T, p = y.shape
         count = int(np.prod(lead))
-        followed = carry.carry.c.shape[-1] // len(self.weights)
-        if followed not in (1, count):
-            raise ValueError(f"this observer follows {followed} recordings, y holds {count}")
+        if self._count(carry) not in (1, count):
+            raise ValueError(f"this observer follows {self._count(carry)} recordings, y holds {count}")
 
         def time_first(x: np.ndarray) -> np.ndarray:
             return np.moveaxis(x.reshape(count, T, x.shape[-1]), 0, -1).astype(self.plant.dtype)
@@ -337,19 +325,16 @@ class SetObserver(Observer[State], Generic[State]):
         lanes, count, room = len(self.weights), samples.fresh.shape[-1], self._room
         if is_outside_xla() and count > room:
             room = max(room, BESIDE)  # NumPy rounds alike whatever is beside
-        number, lane, followed = np.arange(count), np.arange(lanes)[:, None], carry.age.shape[-1] // lanes
+        followed = carry.age.shape[-1] // lanes
 
-        def job(block: np.ndarray) -> tuple[Any, ...]:
-            own = (lane * followed + block % followed).ravel()
-            return self._block(chosen(carry, own), chosen(samples, block))
+        def job(block: np.ndarray) -> tuple[steps.ZonotopeCarry, steps.Found]:
+            return self._block(recordings_of(carry, followed, block), chosen(samples, block))
 
-        def together(places: np.ndarray) -> Callable[..., np.ndarray]:
-            return lambda *parts: np.take(np.concatenate(parts, -1), places, -1)
+        def together(*parts: Array) -> np.ndarray:
+            return np.concatenate(parts, -1)[..., : count * lanes]
 
-        place = (number // room * lanes + lane) * room + number % room
-        carries, founds = zip(*in_blocks(job, count, room), strict=True)
-        after = jax.tree.map(together(place.ravel()), *carries)
-        return after, joined(jax.tree.map(together(place), *founds))
+        after, found = jax.tree.map(together, *in_blocks(job, count, room))
+        return after, joined(found, lanes)
 
     @property
     def _room(self) -> int:
@@ -398,10 +383,11 @@ class SetObserver(Observer[State], Generic[State]):
         if not self.enclosures:
             return Judged(status, margin)
         since = np.where(age > 0, int(before.samples) + np.arange(T) - age + 1, -1)
-        refuted: np.ndarray | None = None
-        if not self.restart:
-            refuted = self._refuted_before(before)
-        found = emptied(found, refuted)
+        gone = np.zeros(found.status.shape, bool)
+        if not self.restart:  # behind a FAULT that stays nothing is left
+            fault = np.asarray(found.status) == Status.FAULT
+            gone = fault & self._behind_faults(before, fault)
+        found = emptied(found, gone)
         n, p = self.plant.system.n, self.plant.system.p
         state = _interval(shaped(found.states), n)
         outputs = shaped(found.outputs)
@@ -426,17 +412,6 @@ class ZonotopeObserver(SetObserver[ObserverState]):
     def init(self) -> ObserverState:
         """Return the state of an observer that has seen nothing."""
         return self._first_state
-
-
-def _staying(before: np.ndarray, wrong: np.ndarray, fresh: np.ndarray) -> np.ndarray:
-    """Return (T, N): where a FAULT of an earlier sample, or of the piece before (N,), still stays; a gap ends
-    it.
-    """
-    behind, stays = np.zeros_like(wrong), before
-    for k in range(len(wrong)):
-        behind[k] = stays & ~fresh[k]
-        stays = behind[k] | wrong[k]
-    return behind
 
 
 def _interval(ends: np.ndarray, width: int) -> Interval:

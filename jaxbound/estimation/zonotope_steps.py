@@ -189,27 +189,27 @@ def follow(
 
     Args:
         start: how the state is found from samples alone, or None: where it is lost it stays so.
-        lanes: weights side by side: recording i stands at i, i + N / lanes, .. enclosures: whether states and
-            outputs are enclosed: under XLA always, in one program for every verb, which takes no longer.
+        lanes: weights of a recording, one behind the other. enclosures: whether states and outputs are
+            enclosed: under XLA always, in one program for every verb, which takes no longer.
         restart: whether the sample after a contradiction begins anew; else FAULT stays.
 
     Returns:
         (carry, Found); what they have of other samples means nothing.
     """
-    tiled = jax.tree.map(lambda x: jnp.tile(x, lanes), samples)
+    each = jax.tree.map(lambda x: jnp.repeat(x, lanes, -1), samples)
 
     def step(k: jax.Array, state: tuple[ZonotopeCarry, Found]) -> tuple[ZonotopeCarry, Found]:
         carry, rows = state
-        now = jax.tree.map(lambda x: _row(x, k), tiled)
+        now = jax.tree.map(lambda x: _row(x, k), each)
         carry, size, row = _sample(plant, start, _begun_anew(carry, now.fresh), now, enclosures)
-        refuted = jnp.any(carry.empty.reshape(lanes, -1), 0)  # by any of its sets
-        carry = _begun_anew(carry, restart & jnp.tile(refuted, lanes))
+        refuted = jnp.any(carry.empty.reshape(-1, lanes), 1)  # by any of its sets
+        carry = _begun_anew(carry, restart & jnp.repeat(refuted, lanes))
         carry = _step_of_time(plant, carry, size, now)
         return carry, jax.tree.map(
             lambda old, new: jax.lax.dynamic_update_index_in_dim(old, new, k, 0), rows, row
         )
 
-    carry, rows = jax.lax.fori_loop(0, stop, step, (carry, _nothing_found(tiled, plant, enclosures)))
+    carry, rows = jax.lax.fori_loop(0, stop, step, (carry, _nothing_found(each, plant, enclosures)))
     return carry, rows
 
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 from hashlib import blake2b
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -29,8 +29,7 @@ from jaxbound.consistency.interface import (
     with_margins,
 )
 from jaxbound.diagnosis.result import Result, found_by
-from jaxbound.estimation.observation import CarriedState
-from jaxbound.estimation.set_observer import SetObserver
+from jaxbound.estimation.observation import State
 from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.recordings.means import Unfinished
 from jaxbound.recordings.recording import Recording
@@ -44,9 +43,8 @@ from jaxbound.sets.floats.status import Status
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["Continuation", "Joined", "carry_of", "followed", "joined_carries"]
+__all__ = ["Continuation", "Joined", "followed", "joined_carries"]
 
-State = TypeVar("State", bound=CarriedState)
 Arrays = Mapping[str, np.ndarray]
 CONTENT, CARRY, WRITTEN, UNIT = "content", "carry", "written", "unit"
 REST = "rest"  # before the names of samples that are in no mean yet
@@ -244,43 +242,14 @@ def _judged(pieces: Sequence[Verdicts], known: int) -> Judged:
     return judged._replace(by=by, statuses=statuses, test_margins=margins)
 
 
-def joined_carries(observer: SetObserver[State], carries: Sequence[State]) -> State:
+def joined_carries(carries: Sequence[State]) -> State:
     """Return the carry of recordings side by side, from that of each alone after as many samples."""
-    lanes = len(observer.weights)
-    zonotopes = len(jax.tree.leaves(carries[0].carry))
-    joined: list[np.ndarray] = []
-    for at, leaves in enumerate(zip(*map(jax.tree.leaves, carries), strict=True)):
-        arrays = [np.asarray(leaf) for leaf in leaves]
-        if at < zonotopes:
-            together = np.concatenate([_apart_by_lane(x, lanes) for x in arrays], -1)
-            joined.append(together.reshape(*together.shape[:-2], -1))
-        elif at == zonotopes:  # the number of samples
-            joined.append(leaves[0])
-        else:
-            joined.append(np.concatenate(arrays, -1))
-    carry: State = jax.tree.unflatten(jax.tree.structure(carries[0]), joined)
+
+    def together(*leaves: np.ndarray) -> np.ndarray:
+        return np.concatenate(leaves, -1) if np.ndim(leaves[0]) else leaves[0]
+
+    carry: State = jax.tree.map(together, *carries)
     return carry
-
-
-def carry_of(observer: SetObserver[State], carry: State, i: int) -> State:
-    """Return the carry of recording i of those side by side, the inverse of `joined_carries`."""
-    lanes = len(observer.weights)
-    zonotopes = len(jax.tree.leaves(carry.carry))
-    picked: list[np.ndarray] = []
-    for at, leaf in enumerate(jax.tree.leaves(carry)):
-        if at < zonotopes:
-            picked.append(_apart_by_lane(np.asarray(leaf), lanes)[..., i])
-        elif at == zonotopes:
-            picked.append(leaf)
-        else:
-            picked.append(leaf[..., i : i + 1])
-    one: State = jax.tree.unflatten(jax.tree.structure(carry), picked)
-    return one
-
-
-def _apart_by_lane(x: np.ndarray, lanes: int) -> np.ndarray:
-    """Return (..., lanes, recordings) of (..., lanes * recordings): a lane is one weight of the observer."""
-    return x.reshape(*x.shape[:-1], lanes, x.shape[-1] // lanes)
 
 
 def _under(kind: str, kept: Arrays) -> dict[str, np.ndarray]:

@@ -25,6 +25,7 @@ from jaxbound.diagnosis.alarmrule import AlarmRule, RuleLike, rule_of
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import Result
+from jaxbound.estimation.blocks import recordings_of
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
@@ -36,7 +37,7 @@ from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.source import Progress
-from jaxbound.runs.continuation import Continuation, Joined, carry_of, followed, joined_carries
+from jaxbound.runs.continuation import Continuation, Joined, followed, joined_carries
 from jaxbound.runs.endings import concluded
 from jaxbound.runs.relations import is_monitored, relations_by
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary
@@ -524,11 +525,12 @@ def _followed_together(group: Sequence[_UnitData], outside: str) -> _Together:
     many = Recording(u, y, one.starts, one.inputs, one.outputs)
     carry = None
     if first.joined.carry is not None:
-        carry = joined_carries(observer, [data.joined.carry for data in group])
+        carry = joined_carries([data.joined.carry for data in group])
     together, between = followed(observer, Joined(many, carry, first.joined.known), outside)
     outcomes: _Together = {}
     for i, data in enumerate(group):
-        outcomes[id(data.recording)] = _one_of(together, i, data), carry_of(observer, between, i)
+        own = recordings_of(between, len(group), np.array([i]))
+        outcomes[id(data.recording)] = _one_of(together, i, data), own
     return outcomes
 
 
