@@ -19,7 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import jax
 import numpy as np
@@ -49,6 +49,7 @@ from jaxbound.text.objects import readable
 
 __all__ = ["NO", "UNKNOWN", "YES", "BankState", "MonitorBank", "Watch", "claimed", "combined"]
 
+Piece = TypeVar("Piece", bound=Recording)
 BEFORE = np.int8(-1)
 """In place of NO, YES and UNKNOWN before the first sample."""
 SIDE_BY_SIDE = 2**14
@@ -292,8 +293,8 @@ class MonitorBank(Observer[BankState]):
         return modes_at(self.plant, self.conditions, u)
 
     def seen_by(
-        self, number: int, piece: Recording, modes: np.ndarray, before: np.ndarray | None = None
-    ) -> Recording:
+        self, number: int, piece: Piece, modes: np.ndarray, before: np.ndarray | None = None
+    ) -> Piece:
         """Return the samples of a piece as a test sees them: with its columns of u, without those at which
         its condition fails.
 

@@ -21,15 +21,19 @@ from jaxbound.models.statedtests import StatedTest, stated_tests
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification.advice import WIDE, blind, wide
-from jaxbound.studies.identification.bounds import verified
-from jaxbound.studies.identification.candidates import FitProblem
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
-from jaxbound.studies.identification.judging import WindowJudge
+from jaxbound.studies.identification.orders import settled
 from jaxbound.studies.identification.recipe import AUTO, Recipe
 from jaxbound.studies.identification.search import fitted
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, GivenUp, sure_sizes
-from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, WindowChoice, best_test
+from jaxbound.studies.identification.window_tests import (
+    RAMP,
+    JudgedTest,
+    WindowChoice,
+    best_test,
+    tried_tests,
+)
 from jaxbound.text.progress import in_part
 
 __all__ = ["earned", "fitted_bank", "test_as_fitted"]
@@ -43,27 +47,43 @@ SOON = 8
 def fitted_bank(
     training: Training, asked: Recipe, sentences: Sequence[str], report: Callable[[float], object]
 ) -> Fitted:
-    """Return a Fitted for the best windows, whose `tests` are those that earn their places; where nothing
-    says what is tested and no part that is left out says how wide bounds must be, for the usual windows.
+    """Return a Fitted for the best windows, whose `tests` are those that earn their places, none of "auto";
+    where nothing says what is tested and no part that is left out says how wide bounds must be, for the usual
+    windows.
 
     Args:
         asked: with its observer and its disturbances for a test beside the windows. sentences: on the
             recordings. report: called with the share of the work done.
     """
     biases = [fault for fault in asked.faults if fault.kind == "bias"]
-    plain = dataclasses.replace(asked, test=AUTO, observer=None, disturbances=None, see=biases)
-    base, tried = fitted(training, plain, sentences, partial(in_part, report, 0.0, 0.4))
+    plain = dataclasses.replace(asked, test=None, observer=None, disturbances=None, see=biases)
+    plain = settled(training, plain)
+    tried = tried_tests(training, plain, partial(in_part, report, 0.0, 0.25))
+    tests = [one.judged for one in tried]
+    of_windows = {one.judged.window: one for one in tried}
+
+    def fit_for(test: JudgedTest, begin: float, share: float, sentences: Sequence[str] = ()) -> Fitted:
+        """Return the fit for the windows of a test; put what it sees beyond complete ones into `tests`."""
+        known, own = of_windows[test.window], plain.of(test.window, test.method)
+        model = fitted(training, own, known, sentences, partial(in_part, report, begin, share))
+        if not known.complete:
+            tests[tests.index(test)] = model.check.of(test)
+        return model
+
+    base = fit_for(best_test(tests), 0.25, 0.15, sentences)
+    check = base.check
+    if asked.test == AUTO:
+        return Fitted(base, dataclasses.replace(check, tests=tuple(tests)))
     observer = asked.observing
     if asked.disturbances is not None and observer is None:
         observer = observer_method("joint")
-    if asked.is_open and observer is None and all(math.isnan(one.factor) for one in base.check.left_out):
-        return fitted(training, asked, sentences, partial(in_part, report, 0.4, 0.6))[0]
-    check, tests = base.check, list(base.check.tests)
-    alike = dataclasses.replace(plain, order=check.order, delay=check.delay, method=check.method, test=None)
+    if asked.is_open and observer is None and all(math.isnan(one.factor) for one in check.left_out):
+        return fitted(training, asked, None, sentences, partial(in_part, report, 0.4, 0.6))
     watched: Fitted | None = None
     if observer is not None:
-        own = dataclasses.replace(alike, observer=observer, disturbances=asked.disturbances, see=asked.faults)
-        watched, _ = fitted(training, own, (), partial(in_part, report, 0.4, 0.3))
+        own = dataclasses.replace(plain, observer=observer, disturbances=asked.disturbances, see=asked.faults)
+        own = dataclasses.replace(own, method=check.method)
+        watched = fitted(training, own, None, (), partial(in_part, report, 0.4, 0.3))
         try:
             tests.append(_judged(watched, observer))
         except GivenUp as end:
@@ -79,29 +99,19 @@ def fitted_bank(
         check = _saying(check, why)
     stated = [StatedTest(picked[0].window.text)]
     share = 0.3 / len(picked)
-    complete = {one.judged.window: one.trial for one in tried if one.complete}
-    for number, judged in enumerate(picked[1:]):
-        name, window = judged.window.text, judged.window
-        if window.observer is not None and watched is not None and observer is not None:
+    for number, test in enumerate(picked[1:]):
+        name, jump, steady = test.window.text, test.jump, test.steady
+        if watched is not None and observer is not None and test.window.observer is not None:
             stated.append(test_as_fitted(base, _beside(base, watched), name, _options(observer)))
             more = [f"test {name!r}: {x}" for x in watched.check.sentences if x not in check.sentences]
             check = dataclasses.replace(_saying(check, *more), tradeoff=watched.check.tradeoff)
-            check = _with_sizes(base, check, judged.jump, judged.steady)
-            continue
-        own = alike.of(window, judged.method)
-        if window in complete:
-            trial, problem = complete[window], FitProblem.of(training, own, WindowJudge())
-            model, _ = verified(problem.judge, trial, training, asked.safety)
-            (jump, steady), factor = problem.sizes(model), trial.factor
-            report(0.7 + (number + 1) * share)
         else:
-            model, _ = fitted(training, own, (), partial(in_part, report, 0.7 + number * share, share))
-            jump, steady, factor = model.check.jump, model.check.steady, model.check.factor
-            tests[tests.index(judged)] = model.check.of(judged)
-        stated.append(test_as_fitted(base, model, name))
+            model = fit_for(test, 0.7 + number * share, share)
+            stated.append(test_as_fitted(base, model, name))
+            jump, steady = model.check.jump, model.check.steady
+            if model.check.factor > WIDE:
+                check = _saying(check, f"test {name!r}: {wide(check, model.check.factor)}")
         check = _with_sizes(base, check, jump, steady)
-        if factor > WIDE:
-            check = _saying(check, f"test {name!r}: {wide(check, factor)}")
     report(1.0)
     if len(stated) == 1:  # the windows of the model
         stated = []

@@ -13,7 +13,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification import filters, regression
 from jaxbound.studies.identification.judging import Judge, Sizes
 from jaxbound.studies.identification.realisation import realised, realised_filters, realised_static
-from jaxbound.studies.identification.recipe import Recipe, wanted_biases
+from jaxbound.studies.identification.recipe import AUTO, KINDS, Recipe, wanted_biases
 from jaxbound.studies.identification.records import Records, measured, parted
 from jaxbound.studies.identification.structure import chained, delayed
 from jaxbound.studies.identification.training import Training
@@ -63,6 +63,17 @@ class FitProblem:
     def delay(self) -> int:
         """The samples until inputs act."""
         return int(self.recipe.delay)
+
+    @property
+    def kinds(self) -> list[str]:
+        """The KINDS that are tried."""
+        if self.order == 0:
+            return [KINDS[0]]
+        if self.recipe.method != AUTO:
+            return [self.recipe.method]
+        if not self.parts:  # nothing tells them apart
+            return ["windows"]
+        return [kind for kind in KINDS if self.training.inputs or kind != "filters"]
 
     def others(self, number: int) -> Records:
         """Return all parts but one."""

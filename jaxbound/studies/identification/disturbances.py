@@ -140,9 +140,7 @@ def structured(
     return dict(spec) | {"A": whole, "B": inputs, "C": np.hstack([C, offsets])}, G, walks
 
 
-def chosen_disturbances(
-    problem: FitProblem, kinds: Sequence[str], report: Callable[[float], object]
-) -> Disturbed:
+def chosen_disturbances(problem: FitProblem, report: Callable[[float], object]) -> Disturbed:
     """Return the Disturbed under whose bounds, as wide as recordings that are left out ask for, and safety on
     top, the smallest faults are seen: those that are wanted; or a bias of each output that was always there,
     and one that begins in the middle of a recording.
@@ -151,6 +149,7 @@ def chosen_disturbances(
         report: called with the share of the work done.
     """
     training, safety, see = problem.training, problem.recipe.safety, problem.recipe.faults
+    kinds = problem.kinds
     longest = max(training.records, key=lambda record: len(record[1]))
     pieces, why = _pieces(problem)
     faults = list(see)

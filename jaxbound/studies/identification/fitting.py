@@ -26,7 +26,7 @@ from jaxbound.studies.identification.disturbances import refuse_unseen
 from jaxbound.studies.identification.fit_result import Fitted
 from jaxbound.studies.identification.following import hindrance
 from jaxbound.studies.identification.orders import settled
-from jaxbound.studies.identification.recipe import AUTO, BANK, Recipe, RecipeFields, recipe_of
+from jaxbound.studies.identification.recipe import AUTO, Recipe, RecipeFields, recipe_of
 from jaxbound.studies.identification.records import names_of, parted
 from jaxbound.studies.identification.search import fitted, on_recordings
 from jaxbound.studies.identification.signal_choice import (
@@ -122,10 +122,10 @@ def fit(
         raise ValueError(f"{why}: leave follow out")
     sentences = on_recordings(training, plan)
     can_choose = plan.is_open and parted(training.records, plan.held_out, WINDOWS[0].horizon + 1)
-    if can_choose or plan.test == BANK:
+    if can_choose or plan.test is not None:
         model = fitted_bank(training, plan, sentences, report)
     else:
-        model, _ = fitted(training, plan, sentences, report)
+        model = fitted(training, plan, None, sentences, report)
     return Fitted(model, dataclasses.replace(model.check, signals=signals, recipe=plan))
 
 

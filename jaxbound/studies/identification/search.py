@@ -1,4 +1,4 @@
-"""From one recipe to a fitted model: what can be chosen is tried, by recordings that are left out, and the
+"""From one recipe to a fitted model: what it leaves open is tried, by recordings that are left out, and the
 best is verified by the proved test.
 """
 
@@ -24,8 +24,7 @@ from jaxbound.studies.identification.judging import ObserverJudge, WindowJudge, 
 from jaxbound.studies.identification.means import smallest_means
 from jaxbound.studies.identification.orders import acting_otherwise, settled
 from jaxbound.studies.identification.outliers import refuse_outliers
-from jaxbound.studies.identification.recipe import AUTO, KINDS, Recipe
-from jaxbound.studies.identification.records import parted
+from jaxbound.studies.identification.recipe import AUTO, Recipe
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, GivenUp, hidden_jumps
 from jaxbound.studies.identification.trial import Trial, tried
@@ -33,9 +32,7 @@ from jaxbound.studies.identification.window_tests import (
     RAMP,
     TriedTest,
     best_kind,
-    best_test,
     searched_means,
-    tried_tests,
 )
 from jaxbound.text.progress import in_part
 
@@ -62,43 +59,38 @@ def on_recordings(training: Training, recipe: Recipe) -> list[str]:
 
 
 def fitted(
-    training: Training, recipe: Recipe, sentences: Sequence[str], report: Callable[[float], object]
-) -> tuple[Fitted, tuple[TriedTest, ...]]:
-    """Return (fitted, tests): of one test, and the windows that were tried for it, if any.
+    training: Training,
+    recipe: Recipe,
+    taken: TriedTest | None,
+    sentences: Sequence[str],
+    report: Callable[[float], object],
+) -> Fitted:
+    """Return the fit of one test.
 
     Args:
-        recipe: its test is not "bank". sentences: on the recordings.
+        recipe: its test is None. taken: its windows as they were tried; None: no others were. sentences: on
+            the recordings.
     """
     recipe = settled(training, recipe)
     acting = acting_otherwise(training.records, int(recipe.order), int(recipe.delay), recipe.direct)
     sentences = [*sentences, *acting]
-    tests: tuple[TriedTest, ...] = ()
-    if recipe.test is not None:
-        tests = tried_tests(training, recipe, _kinds(training, recipe), partial(in_part, report, 0.0, 0.6))
-    judged = tuple(one.judged for one in tests)
-    taken: Trial | None = None
-    for one in tests:
-        if one.judged is best_test(judged):
-            recipe = recipe.of(one.judged.window, one.judged.method)
-            taken = one.trial if one.complete else None
     observer = recipe.observing
     judge = WindowJudge() if observer is None else ObserverJudge(observer)
     problem = FitProblem.of(training, recipe, judge)
-    kinds = _kinds(training, recipe)
     report(0.05)
 
     safety, progress = recipe.safety, partial(in_part, report, 0.05, 0.75)
     tradeoff: tuple[Tradeoff, ...] = ()
     if recipe.disturbances is not None:
-        best, safety, tradeoff, unseen = chosen_disturbances(problem, kinds, progress)
+        best, safety, tradeoff, unseen = chosen_disturbances(problem, progress)
         sentences += unseen
-    elif taken is not None:
-        best = taken.under(GaugeJudge(every=True), problem.parts)
+    elif taken is not None and taken.complete:
+        best = taken.trial.under(GaugeJudge(every=True), problem.parts)
     else:
-        best, more = _best(problem, kinds, progress)
+        best, more = _best(problem, progress)
         sentences += more
-    if taken is None and recipe.average is not None:
-        best = _with_means(problem, best, partial(in_part, report, 0.8, 0.1))
+        if recipe.average is not None:
+            best = _with_means(problem, best, partial(in_part, report, 0.8, 0.1))
     if recipe.average is not None:
         unsaid = [name for name in training.outputs if name not in best.averages]
         sentences += [advice.no_average(name, recipe.average) for name in unsaid]
@@ -112,35 +104,19 @@ def fitted(
         except GivenUp as end:
             sentences.append(f"what noise may hide from any test is not known: {end}; {SMALLER}")
     check = _check(problem, best, model, used, safety)
-    check = dataclasses.replace(check, tradeoff=tradeoff, hidden=hidden, tests=judged)
-    if judged and taken is None:
-        chosen = best_test(judged)
-        own = tuple(check.of(one) if one is chosen else one for one in judged)
-        check = dataclasses.replace(check, tests=own)
+    check = dataclasses.replace(check, tradeoff=tradeoff, hidden=hidden)
+    if taken is not None and not taken.complete:
         sentences.append(advice.COMPLETE_ONLY)
     sentences = [*advice.blind(model, check), *sentences, *advice.limits(model, check, recipe.held_out)]
     report(1.0)
-    return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences))), tests
+    return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences)))
 
 
-def _kinds(training: Training, recipe: Recipe) -> list[str]:
-    """Return the KINDS that are tried."""
-    if recipe.order == 0:
-        return [KINDS[0]]
-    if recipe.method != AUTO:
-        return [recipe.method]
-    if not parted(training.records, recipe.held_out, recipe.window.horizon + 1):  # nothing tells them apart
-        return ["windows"]
-    return [kind for kind in KINDS if training.inputs or kind != "filters"]
-
-
-def _best(
-    problem: FitProblem, kinds: Sequence[str], step: Callable[[float], object]
-) -> tuple[Trial, list[str]]:
+def _best(problem: FitProblem, step: Callable[[float], object]) -> tuple[Trial, list[str]]:
     """Return (trial, sentences): of the kind, and with bounds that follow as strongly, as sees most."""
-    recipe, follow = problem.recipe, problem.recipe.follow
+    recipe, follow, kinds = problem.recipe, problem.recipe.follow, problem.kinds
     if recipe.observer is None and not follow:  # the proved test for the best of them alone
-        kinds = [best_kind(problem, kinds)]
+        kinds = [best_kind(problem)]
     trials = []
     for number, kind in enumerate(kinds):
         trials.append(tried(problem, kind))

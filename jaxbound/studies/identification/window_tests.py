@@ -102,28 +102,26 @@ def best_test(tests: Sequence[JudgedTest]) -> JudgedTest:
     return min(tests, key=attrgetter("blindness"))
 
 
-def best_kind(problem: FitProblem, kinds: Sequence[str]) -> str:
+def best_kind(problem: FitProblem) -> str:
     """Return the one of KINDS whose windows see the smallest errors, as far as floats say."""
-    if len(kinds) == 1:
-        return kinds[0]
+    if len(problem.kinds) == 1:
+        return problem.kinds[0]
     searched = problem.under(GaugeJudge(), problem.recipe)
-    found = {kind: tried(searched, kind).blindness for kind in kinds}
+    found = {kind: tried(searched, kind).blindness for kind in problem.kinds}
     return min(found, key=found.__getitem__)
 
 
-def tried_tests(
-    training: Training, recipe: Recipe, kinds: Sequence[str], step: Callable[[float], object]
-) -> tuple[TriedTest, ...]:
+def tried_tests(training: Training, recipe: Recipe, step: Callable[[float], object]) -> tuple[TriedTest, ...]:
     """Return the TriedTest of each of WINDOWS that recordings are long enough for, by its best kind.
 
     Args:
-        recipe: with an order and a delay. kinds: those of KINDS that are tried. step: called with the share
-            of the work done.
+        recipe: with an order and a delay. step: called with the share of the work done.
 
     Raises:
         ValueError: the recordings are too short for any of them.
     """
     records, held_out = training.records, recipe.held_out
+    kinds = FitProblem.of(training, recipe, GaugeJudge()).kinds
     problems: dict[int, FitProblem] = {}
     tests: list[TriedTest] = []
     refusal: ValueError | None = None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
 from functools import partial
-from typing import NamedTuple, TypeAlias, cast
+from typing import TypeAlias, cast
 
 import numpy as np
 
@@ -16,10 +16,8 @@ from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.monitoring import monitor, relations_of_test
 from jaxbound.models.statedtests import StatedTest
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.factors import known
-from jaxbound.recordings.recording import Recording
 from jaxbound.studies.tuning.parametrization import Tunable, tuned_model
-from jaxbound.studies.tuning.scaling import JoinedRecordings, joined_recordings, refuse_same
+from jaxbound.studies.tuning.scaling import JoinedRecordings, both_recordings
 from jaxbound.studies.tuning.tune_result import TuneResult, caught_of
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import in_part
@@ -30,8 +28,6 @@ DIGITS = 4
 """Of a factor in a model file."""
 UNSCALED = "parameters"
 """Bounds that the factor of a test leaves as they are."""
-Samples: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""(u, y, starts)."""
 TuneOne: TypeAlias = Callable[..., TuneResult]
 
 
@@ -65,13 +61,6 @@ class MonitorTuneResult:
         return caught_of(self.faulty_counts)
 
 
-class _Seen(NamedTuple):
-    """Recordings as a monitor sees them. Fields: joined; each: the entries, one a recording."""
-
-    joined: JoinedRecordings
-    each: list[Recording]
-
-
 def tuned_monitor(
     bank: MonitorBank,
     healthy: object,
@@ -92,11 +81,7 @@ def tuned_monitor(
     stated = {test.name: test for test in bank.plant.tests}
     if tuple(stated) != bank.names:
         raise ValueError("tune needs a monitor of tests that its model states, from jb.monitor")
-    good = _seen(bank, healthy, "healthy")
-    bad = None
-    if faulty is not None:
-        bad = _seen(bank, faulty, "faulty")
-        refuse_same(good.joined, bad.joined)
+    good, bad = both_recordings(bank.plant, bank.horizon, healthy, faulty)
     start = {name: test.factor for name, test in stated.items()}
     tunings: dict[str, TuneResult] = {}
     notes: list[str] = []
@@ -120,47 +105,32 @@ def tuned_monitor(
         notes += one.notes
     if not tunings:
         raise ValueError("no test of this monitor watches a sample of the healthy data")
-    model, tuned = _accepted(bank, stated, factors, good.joined)
+    model, tuned = _accepted(bank, stated, factors, good)
     return MonitorTuneResult(
         tests=tunings,
         factors={test.name: test.factor for test in model.tests},
         start=start,
-        counts=_counts(tuned, good.joined),
-        faulty_counts=None if bad is None else _counts(tuned, bad.joined),
+        counts=dict(detect(tuned, good).counts),
+        faulty_counts=None if bad is None else dict(detect(tuned, bad).counts),
         model=model,
         relations=tuned,
         notes=tuple(dict.fromkeys(notes)),
     )
 
 
-def _seen(bank: MonitorBank, given: object, what: str) -> _Seen:
-    """Return recordings with all columns that the tests read."""
-    joined = joined_recordings(bank.plant, bank.horizon, given, what)
-    each = []
-    for number in range(len(joined.entries)):
-        own, _ = joined.split(number)
-        each.append(_recording(bank, own))
-    return _Seen(joined, each)
-
-
-def _recording(bank: MonitorBank, joined: JoinedRecordings) -> Recording:
-    """Return recordings laid end to end as one."""
-    return Recording(joined.u, joined.y, joined.starts, known(bank.plant), tuple(bank.plant.outputs))
-
-
-def _watched(bank: MonitorBank, number: int, given: _Seen) -> list[Samples]:
+def _watched(bank: MonitorBank, number: int, given: JoinedRecordings) -> list[JoinedRecordings]:
     """Return the recordings as a test sees them, without those of which it sees nothing.
 
     Where its condition is not known it proves nothing by itself: nothing has to be explained there.
     """
     horizon = bank.watches[number].relations.horizon
-    seen: list[Samples] = []
-    for recording in given.each:
+    seen: list[JoinedRecordings] = []
+    for entry in range(len(given.entries)):
+        recording, _ = given.split(entry)
         modes = bank.modes_of(recording.u)
         own = bank.seen_by(number, recording, np.where(modes == UNKNOWN, NO, modes))
-        windows = JoinedRecordings(own.u, own.y, own.starts, np.zeros(1, np.int64), np.zeros(1, np.int64))
-        if not windows.without(horizon).all():
-            seen.append((own.u, own.y, own.starts))
+        if not own.without(horizon).all():
+            seen.append(own)
     return seen
 
 
@@ -225,15 +195,10 @@ def _accepted(
             tests.append(replace(test, factor=factor))
         model = bank.plant.replace(tests=tests)
         tuned = monitor(model)
-        if not _counts(tuned, good)["FAULT"]:
+        if not detect(tuned, good).counts["FAULT"]:
             return model, tuned
         extra *= Fraction(1001, 1000)
     raise ValueError(
         "the monitor refutes a healthy sample whose mode is not known, whatever the mode: give recordings "
         "with values of all that the conditions read"
     )
-
-
-def _counts(bank: MonitorBank, joined: JoinedRecordings) -> dict[str, int]:
-    """Return the counts of statuses of a monitor."""
-    return dict(detect(bank, _recording(bank, joined)).counts)

@@ -8,7 +8,7 @@ somewhere are searched, then all are tested again.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple, NoReturn
 
@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 from jaxbound.diagnosis.detection import detect, margins
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.arrays import holds_both
-from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.factors import known
+from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import crossing
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
@@ -31,7 +32,6 @@ __all__ = [
     "both_recordings",
     "factors",
     "joined_recordings",
-    "refuse_same",
     "smallest_scale",
     "worst",
 ]
@@ -42,19 +42,16 @@ NEAR_ONE = 0.999999  # of a tolerance
 DOUBLE = math.log(2)
 
 
-@dataclass(frozen=True)
-class JoinedRecordings:
-    """Recordings laid end to end.
+@dataclass(frozen=True, eq=False)
+class JoinedRecordings(Recording):
+    """Recordings laid end to end, as one.
 
-    Fields: u (T, m), y (T, p) NumPy; starts: samples (0 apart) that do not follow the one before; first:
-    where each recording begins; entries: where each of those that were given begins, a batch is one.
+    Fields: first: where each recording begins; entries: where each of those that were given begins, a batch
+    is one.
     """
 
-    u: np.ndarray
-    y: np.ndarray
-    starts: np.ndarray
-    first: np.ndarray
-    entries: np.ndarray
+    first: np.ndarray = field(default_factory=lambda: NOWHERE)
+    entries: np.ndarray = field(default_factory=lambda: NOWHERE)
 
     def split(self, number: int) -> tuple["JoinedRecordings", "JoinedRecordings"]:
         """Return (one of the entries, all others)."""
@@ -72,8 +69,14 @@ class JoinedRecordings:
             return places
 
         starts = kept(np.union1d(self.starts, self.first))
-        moved = starts[starts > 0], kept(self.first), kept(self.entries)
-        return JoinedRecordings(self.u[chosen], self.y[chosen], *moved)
+        return replace(
+            self,
+            u=self.u[chosen],
+            y=self.y[chosen],
+            starts=starts[starts > 0],
+            first=kept(self.first),
+            entries=kept(self.entries),
+        )
 
     def across(self, horizon: int) -> np.ndarray:
         """Return (T,) bool: no window of horizon + 1 samples ends here."""
@@ -130,7 +133,13 @@ def joined_recordings(
         ys.append(y)
     inner = np.unique(np.array([start for start in starts if 0 < start < at], np.int64))
     joined = JoinedRecordings(
-        np.concatenate(us), np.concatenate(ys), inner, np.array(first), np.array(entries)
+        np.concatenate(us),
+        np.concatenate(ys),
+        inner,
+        known(model),
+        model.outputs,
+        first=np.array(first),
+        entries=np.array(entries),
     )
     if joined.without(horizon).all():
         raise ValueError(
@@ -143,24 +152,23 @@ def joined_recordings(
 def both_recordings(
     model: LinearSystem, horizon: int, healthy: object, faulty: object
 ) -> tuple[JoinedRecordings, JoinedRecordings | None]:
-    """Return healthy recordings and faulty ones, if there are some, which must be others."""
+    """Return healthy recordings and faulty ones, if there are some.
+
+    Raises:
+        ValueError: as `joined_recordings`; a faulty one that is a healthy one: no bounds can tell them apart.
+    """
     good = joined_recordings(model, horizon, healthy)
     if faulty is None:
         return good, None
     bad = joined_recordings(model, horizon, faulty, "faulty")
-    refuse_same(good, bad)
-    return good, bad
-
-
-def refuse_same(good: JoinedRecordings, bad: JoinedRecordings) -> None:
-    """Refuse faulty recordings that are healthy ones: no bounds can tell them apart."""
-    healthy = {piece: i for i, piece in enumerate(_contents(good))}
+    seen = {piece: i for i, piece in enumerate(_contents(good))}
     for j, piece in enumerate(_contents(bad)):
-        if piece in healthy:
+        if piece in seen:
             raise ValueError(
-                f"faulty recording {j + 1} is the same as healthy recording {healthy[piece] + 1}: no bounds "
+                f"faulty recording {j + 1} is the same as healthy recording {seen[piece] + 1}: no bounds "
                 f"can tell them apart"
             )
+    return good, bad
 
 
 def _contents(recordings: JoinedRecordings) -> list[tuple[bytes, bytes]]:
@@ -197,8 +205,7 @@ def factors(relations: ParityRelation | UncertainRelations, windows: JoinedRecor
     if relations.uncertain:  # the test gives the windows that it leaves open no size
         t = 1 - np.asarray(margins(relations, windows.u, windows.y))
         return np.where(windows.across(relations.horizon), np.nan, t)
-    found = detect(relations, windows.u, windows.y, starts=windows.starts, margins="exact")
-    return 1 - found.margin
+    return 1 - detect(relations, windows, margins="exact").margin
 
 
 def worst(t: np.ndarray, count: int) -> np.ndarray:

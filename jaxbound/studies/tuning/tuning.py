@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias, cast, overload
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack, cast, overload
 
 import jax
 import jax.numpy as jnp
@@ -65,6 +65,35 @@ CAPACITY, SEARCHED, NEW = 1024, 256, 32
 NEAR = 0.01  # bounds this close to the smallest are close enough between steps
 
 
+class TuneFields(TypedDict, total=False):
+    """The rare arguments of `tune`, as its keywords."""
+
+    bounds: str | Iterable[str] | None
+    weights: Mapping[str, ArrayLike] | None
+    safety: float
+    calibrate: float
+    block: int | None
+    confidence: float
+    every: int
+    state: str | os.PathLike[str] | None
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """The arguments of `tune` beside its recordings."""
+
+    optimizer: optax.GradientTransformation | None
+    steps: int
+    bounds: str | Iterable[str] | None = None
+    weights: Mapping[str, ArrayLike] | None = None
+    safety: float = 1.25
+    calibrate: float = 1 / 3
+    block: int | None = None
+    confidence: float = 0.95
+    every: int = 10
+    state: str | os.PathLike[str] | None = None
+
+
 @overload
 def tune(
     relations: Tunable,
@@ -73,15 +102,8 @@ def tune(
     optimizer: optax.GradientTransformation | None = ...,
     steps: int = ...,
     *,
-    bounds: str | Iterable[str] | None = ...,
-    weights: Mapping[str, ArrayLike] | None = ...,
-    safety: float = ...,
-    calibrate: float = ...,
-    block: int | None = ...,
-    confidence: float = ...,
-    every: int = ...,
     progress: Callable[[float], object] | None = ...,
-    state: str | os.PathLike[str] | None = ...,
+    **fields: Unpack[TuneFields],
 ) -> TuneResult: ...
 
 
@@ -91,11 +113,8 @@ def tune(
     healthy: object,
     faulty: object = ...,
     *,
-    safety: float = ...,
-    calibrate: float = ...,
-    block: int | None = ...,
-    confidence: float = ...,
     progress: Callable[[float], object] | None = ...,
+    **fields: Unpack[TuneFields],
 ) -> MonitorTuneResult: ...
 
 
@@ -108,15 +127,8 @@ def tune(
     optimizer: optax.GradientTransformation | None = None,
     steps: int = 300,
     *,
-    bounds: str | Iterable[str] | None = None,
-    weights: Mapping[str, ArrayLike] | None = None,
-    safety: float = 1.25,
-    calibrate: float = 1 / 3,
-    block: int | None = None,
-    confidence: float = 0.95,
-    every: int = 10,
     progress: Callable[[float], object] | None = None,
-    state: str | os.PathLike[str] | None = None,
+    **fields: Unpack[TuneFields],
 ) -> TuneResult | MonitorTuneResult:
     """Find the smallest bounds under which healthy data are consistent; with faulty data, those that leave
     most of these outside.
@@ -134,14 +146,13 @@ def tune(
             FAULT. Or a `jb.monitor`: one factor a test on the bounds that it scales, found as for this test
             alone; it takes neither optimizer, bounds, weights nor state, and makes no steps.
         healthy: (u, y), arrays (..., T, m) and (..., T, p) or DataFrames, or a list of such tuples, one a
-            recording that is left out in turn; (u, y, starts) where samples do not follow the one before, as
-            for `detect`. NaN marks a missing sample.
+            recording left out in turn; (u, y, starts) where a sample does not follow the last. NaN: missing.
         faulty: the same for recordings with faults, every window of which should be outside; or None.
-        optimizer: any optax.GradientTransformation, acting on the logarithms of the bounds; None: Adam with a
-            falling step.
+        optimizer: of optax, on the logarithms of the bounds; None: Adam with a falling step.
         steps: of it. 0: only the size is found.
-        bounds: names of those that move, "noise", "tolerance", "disturbance", "parameters"; None: all. The
-            ends of an asymmetric disturbance move separately.
+        progress: called with the share of the work done.
+        fields: what is rare. bounds: names of those that move, "noise", "tolerance", "disturbance",
+            "parameters"; None: all. The ends of an asymmetric disturbance move separately.
         weights: {name: number or one per entry}: what is made small is their weighted sum; None: 1 / starting
             bound.
         safety: factor >= 1 on the smallest bounds, for what the data did not show: 1.25 as in `fit` and at
@@ -151,7 +162,6 @@ def tune(
         block: windows in a block; None: so many that there are about 100 blocks.
         confidence: of that statement.
         every: steps between two looks at all windows.
-        progress: called with the share of the work done.
         state: a file that is kept up to date: the same call goes on from it. An interruption (Ctrl-C) ends
             the search, not the call.
 
@@ -171,40 +181,36 @@ def tune(
         >>> round(res.scale, 6), res.bounds["noise"], res.counts["FAULT"]
         (2.0, array([0.3001]), 0)
     """
+    plan = _Asked(optimizer, steps, **fields)
+    safety, confidence, state = plan.safety, plan.confidence, plan.state
     _check_relations(relations)
-    _check_numbers(steps, safety, calibrate, block, confidence, every)
-    _check_search(optimizer, state)
+    _check(plan)
     report = reporter(progress, "tune")
     if relations.parts:
-        for name, given in (
-            ("optimizer", optimizer),
-            ("bounds", bounds),
-            ("weights", weights),
-            ("state", state),
-        ):
-            if given is not None:
+        for name in ("optimizer", "bounds", "weights", "state"):
+            if getattr(plan, name) is not None:
                 raise ValueError(
                     f"tune finds one factor a test of a monitor: {name} belongs to one test alone"
                 )
-        one = partial(tune, steps=0, safety=safety, calibrate=calibrate, block=block, confidence=confidence)
+        one = partial(tune, steps=0, **fields)
         return tuned_monitor(cast(MonitorBank, relations), healthy, faulty, one, report)
     if relations.remembers:
         watch = cast(SetObserver[Any], relations)
-        return tuned_observer(watch, healthy, faulty, bounds, safety, confidence, report)
+        return tuned_observer(watch, healthy, faulty, plan.bounds, safety, confidence, report)
     model, s = relations.model, relations.horizon
-    moved = moving(relations, bounds, weights)
+    moved = moving(relations, plan.bounds, plan.weights)
     alone = len(moved.names) == 1
     good, bad = both_recordings(model, s, healthy, faulty)
     gone = good.without(s)
-    blocks = blocks_of(gone, s, block)
+    blocks = blocks_of(gone, s, plan.block)
     if model.constant_tolerance and steps and not alone:
         raise NotImplementedError(
             "the margin of constant_tolerance comes from a search for the best gains, which has no "
             "derivative: tune with steps=0 scales all bounds by one factor, or those that bounds= names"
         )
-    for_scale = held_out(int(blocks.label.max(initial=-1)) + 1, 0 if alone else calibrate)
+    for_scale = held_out(int(blocks.label.max(initial=-1)) + 1, 0 if alone else plan.calibrate)
     unseen = gone | touched(np.isin(blocks.label, np.flatnonzero(for_scale)), s)
-    searching = partial(_Search, relations, moved, bad, safety, optimizer, steps, every)
+    searching = partial(_Search, relations, moved, bad, plan)
     search = searching(good, unseen, state)
     if steps and not alone:
         search.run(lambda share: report(0.6 * share))
@@ -245,10 +251,7 @@ class _Search:
     relations: Windows
     moved: Moving
     bad: JoinedRecordings | None
-    safety: float
-    optimizer: optax.GradientTransformation | None
-    steps: int
-    every: int
+    asked: _Asked
     good: JoinedRecordings
     unseen: np.ndarray
     file: str | os.PathLike[str] | None
@@ -267,11 +270,11 @@ class _Search:
     def run(self, report: Callable[[float], object]) -> None:
         """Make all steps, or those until an interruption."""
         optimizer, rate = default_optimizer(), RATE
-        if self.optimizer is not None:
-            optimizer, rate = self.optimizer, (1.0, 1.0)
-        pace = Pace(self.steps, self.every, rate)
+        if self.asked.optimizer is not None:
+            optimizer, rate = self.asked.optimizer, (1.0, 1.0)
+        pace = Pace(self.asked.steps, self.asked.every, rate)
         dtype, s = self.good.y.dtype, self.relations.horizon
-        problem = objective_of(self.relations, self.moved, self.safety, dtype)
+        problem = objective_of(self.relations, self.moved, self.asked.safety, dtype)
         z = _start(self.moved.start, dtype)
         carry = z, optimizer.init(z)
         if self.file is not None:
@@ -281,15 +284,15 @@ class _Search:
         try:
             if not self.step:
                 carry = _start(self._look(self.moved.start), dtype), carry[1]
-            while self.step < self.steps:
+            while self.step < self.asked.steps:
                 u, y = self.good.gather(np.resize(self.ends, self.capacity), s)
                 u, y = jax.device_put((np.moveaxis(u, 0, 2), np.moveaxis(y, 0, 2)))
                 healthy = u, y, np.arange(self.capacity) < len(self.ends)
                 carry, best = descend(problem, optimizer, pace, carry, self.step, healthy, faulty)
-                self.step = min(self.step + self.every, self.steps)
+                self.step = min(self.step + self.asked.every, self.asked.steps)
                 self._look(np.exp(np.asarray(best, np.float64)))
                 self._save(carry)
-                report(self.step / self.steps)
+                report(self.step / self.asked.steps)
         except KeyboardInterrupt:
             self.stopped = True
 
@@ -307,7 +310,7 @@ class _Search:
             values = np.minimum(values * np.clip(top, 1e-3, 1e3), self.moved.most)
         width, outside, score = self.moved.total(values) * top, np.nan, 0.0
         if self.bad is not None:
-            widened = np.minimum(values * top * self.safety, self.moved.most)
+            widened = np.minimum(values * top * self.asked.safety, self.moved.most)
             t = self._factors(widened, self.bad)
             outside = float(np.sum(t > 1) / max(np.sum(~np.isnan(t)), 1))
             score = -outside
@@ -346,9 +349,9 @@ class _Search:
             "faulty recordings": None if self.bad is None else _data(self.bad),
             "share held out": self.unseen,
             "bounds": (moved.names, moved.select, moved.weights, moved.fixed, moved.start),
-            "safety": self.safety,
-            "steps": self.steps,
-            "every": self.every,
+            "safety": self.asked.safety,
+            "steps": self.asked.steps,
+            "every": self.asked.every,
             "optimizer": carried,
         }
         return identity(self.relations, **also)
@@ -412,14 +415,14 @@ def _check_relations(relations: Tunable | MonitorBank) -> None:
         )
 
 
-def _check_numbers(
-    steps: int, safety: float, calibrate: float, block: int | None, confidence: float, every: int
-) -> None:
-    """Raise ValueError for numbers out of range."""
-    _refuse_below("steps", steps, 0)
-    _refuse_below("every", every, 1)
-    if block is not None:
-        _refuse_below("block", block, 1)
+def _check(asked: _Asked) -> None:
+    """Raise ValueError for numbers out of range, an optimiser or a state that is none."""
+    _refuse_below("steps", asked.steps, 0)
+    _refuse_below("every", asked.every, 1)
+    if asked.block is not None:
+        _refuse_below("block", asked.block, 1)
+    safety, calibrate, confidence = asked.safety, asked.calibrate, asked.confidence
+    optimizer, state = asked.optimizer, asked.state
     if not (is_real(safety) and 1 <= safety < np.inf):
         raise ValueError(f"safety is a factor >= 1 on the smallest bounds, not {safety!r}")
     if not (is_real(calibrate) and 0 <= calibrate < 1):
@@ -428,10 +431,6 @@ def _check_numbers(
         )
     if not (is_real(confidence) and 0 < confidence < 1):
         raise ValueError(f"confidence must lie between 0 and 1, not {confidence!r}")
-
-
-def _check_search(optimizer: object, state: object) -> None:
-    """Raise ValueError for an optimiser or a state that is none."""
     if optimizer is not None and not (hasattr(optimizer, "init") and hasattr(optimizer, "update")):
         raise ValueError(f"optimizer must be one of optax, like optax.adam(0.05), not {optimizer!r}")
     if state is not None and not isinstance(state, str | os.PathLike):

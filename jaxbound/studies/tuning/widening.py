@@ -79,7 +79,7 @@ def concluded(
         short = moved.rounded_up(values * extra)
         model = model_with(relations, moved, short, f"fitted to {seen}, {wide}", left_out)
         final = _under(relations, moved, model, short)
-        res = detect(final, good.u, good.y, starts=good.starts, margins="exact")
+        res = detect(final, good, margins="exact")
         proved = relations.linear is None or not (res.margin <= 0).any()
         if proved and not res.counts["FAULT"]:
             break
@@ -91,7 +91,7 @@ def concluded(
             )
     faulty_counts = None
     if bad is not None:
-        faulty_counts = _counts(detect(final, bad.u, bad.y, starts=bad.starts), bad, relations)
+        faulty_counts = _counts(detect(final, bad), bad, relations)
     return TuneResult(
         bounds=final.bounds,
         smallest=moved.bounds(found.values),
