@@ -4,7 +4,7 @@ proves.
 
 from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.diagnosis import Diagnosis
-from jaxbound.certificates.interface import WindowCertificate, certify
+from jaxbound.certificates.interface import WindowCertificate, certificate_of, certify
 from jaxbound.certificates.long_window import LongCertificate
 from jaxbound.certificates.residual_certificate import ResidualCertificate
 from jaxbound.certificates.uncertain_certificate import UncertainCertificate
@@ -17,6 +17,7 @@ __all__ = [
     "ResidualCertificate",
     "UncertainCertificate",
     "WindowCertificate",
+    "certificate_of",
     "certify",
     "verify",
 ]

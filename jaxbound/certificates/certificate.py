@@ -17,9 +17,16 @@ import numpy as np
 
 from jaxbound.certificates.constant_window import ConstantWindow
 from jaxbound.certificates.diagnosis import Diagnosis, diagnose_window
-from jaxbound.certificates.exact_window import ExactWindow, Explanation, exact_window, rounded_witness
+from jaxbound.certificates.exact_window import ExactWindow, exact_window, rounded_witness
 from jaxbound.certificates.fault_size import Scale, SensorError
-from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
+from jaxbound.certificates.interface import (
+    Index,
+    Sample,
+    WindowCertificate,
+    certificate_of,
+    certify,
+    nothing_to_explain,
+)
 from jaxbound.certificates.witness import Numbers, Witnessed, every_sample, rows_of
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.named_faults import NamedFault
@@ -59,7 +66,7 @@ class Certificate(Witnessed, WindowCertificate):
         outputs, disturbances, unknown_inputs, inputs: that behaviour's true outputs (s+1, p), disturbances
             (s, g), unknown inputs (s or s+1, d) and inputs in the unit of the recording, the missing ones
             filled in; else None.
-        window: the samples and bounds. explanation: what they come to.
+        window: the samples and bounds.
     """
 
     status: Status
@@ -71,7 +78,6 @@ class Certificate(Witnessed, WindowCertificate):
     width: Fraction
     factor: Fraction
     window: ExactWindow
-    explanation: Explanation
     z: Vector | None
 
     @property
@@ -79,12 +85,12 @@ class Certificate(Witnessed, WindowCertificate):
         """FAULT or CONSISTENT: what the exact numbers say, also where the method of the detection left it
         UNDECIDED.
         """
-        return _proved(self.explanation.factor)
+        return _proved(self.factor)
 
     @cached_property
     def _scale(self) -> Scale:
         """The relations that faults and errors of sensors violate, collected once for all of them."""
-        return Scale(self.window, self.explanation)
+        return Scale(self.window, self.h)
 
     @property
     def sensor_errors(self) -> tuple[SensorError, ...]:
@@ -227,17 +233,10 @@ def _proved(factor: Fraction) -> Status:
     return Status.CONSISTENT
 
 
-@certify.register
+@certificate_of.register
 def _(
-    relations: ParityRelation,
-    u: np.ndarray,
-    y: np.ndarray,
-    method: str = "joint",
-    status: Status | None = None,
-    at: Index | None = None,
+    relations: ParityRelation, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
 ) -> Certificate:
-    if at is None:
-        at = (relations.horizon,)
     window = _window(relations, u, y)
     if all(v is None for v in window.y):
         raise nothing_to_explain(at)
@@ -257,19 +256,14 @@ def _(
         z = rounded_witness(window, best.z)
     text = relation_text(window.model, window.horizon, best.h, best.k)
     numbers = best.h, best.k, best.residual, best.width, abs(best.residual) / best.width
-    return Certificate(status, at, text, *numbers, window, best, z)
+    return Certificate(status, at, text, *numbers, window, z)
 
 
-@certify.register
+@certificate_of.register
 def _(
-    relations: Redundancy,
-    u: np.ndarray,
-    y: np.ndarray,
-    method: str = "box",
-    status: Status | None = None,
-    at: Index | None = None,
+    relations: Redundancy, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
 ) -> WindowCertificate:
-    return certify(relations.relations, u, y, "box", status, at)
+    return certify(relations.relations, u, y, status, at)
 
 
 def _window(relations: ParityRelation, u: np.ndarray, y: np.ndarray) -> ExactWindow:

@@ -14,27 +14,14 @@ Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
-from jaxbound.certificates.exact_window import Ends, ExactWindow, Explanation, readable_relation
-from jaxbound.exact.chebyshev import Reference, chebyshev
+from jaxbound.certificates.exact_window import Bound, Ends, ExactWindow, Explanation
 from jaxbound.exact.linalg import Vector, scale
 
 __all__ = ["ConstantWindow"]
 
 ZERO, ONE = Fraction(0), Fraction(1)
-
-
-class _Side(NamedTuple):
-    """One side of a bound, |middle - row (z, g)| <= radius; number of the row of (Y, w) that it speaks of,
-    and its sign, 0 where it bounds a gain alone.
-    """
-
-    number: int
-    sign: int
-    row: Vector
-    middle: Fraction
-    radius: Fraction
 
 
 class ConstantWindow(ExactWindow):
@@ -49,43 +36,37 @@ class ConstantWindow(ExactWindow):
         """The outputs whose gains are unknowns; the others are 1."""
         return [i for i, sigma in enumerate(self.tolerance) if sigma]
 
-    def solve(self, start: Reference | None = None) -> Explanation:
+    def solve(self) -> Explanation:
         """Return the Explanation of this window: factor > 1 where no unknowns and gains keep all rows, its
         size that of no bound.
         """
-        numbers, signs, rows, middles, radii = zip(*self._sides(), strict=True)
-        best = chebyshev(rows, middles, radii, start)
-        h = [ZERO] * len(self.limits)
-        for j, sign, x in zip(numbers, signs, best.h, strict=True):
-            h[j] += sign * x  # both sides of a reading together: Farkas' lemma, see the module
-        if not any(h):
-            h = list(super().solve().h)
-        shown = readable_relation(h)
-        return Explanation(best.t, shown, *self.relation(shown), best.z, best.reference)
+        best = super().solve()  # both sides of a reading together: Farkas' lemma, see the module
+        if any(best.h):
+            return best
+        h = ExactWindow(self.model, self.horizon, self.claim, self.whole, self.lags).solve().h
+        return Explanation(best.factor, h, *self.relation(h), best.z)
 
-    def _sides(self) -> Iterator[_Side]:
+    def bounds(self) -> Iterator[Bound]:
         """Yield the rows of the module in (z, g)."""
-        p, unknowns = self.model.p, self.unknown_columns()
-        none: Vector = (ZERO,) * len(self.free)
-        for j, ends in enumerate(self.limits[: len(self.y)]):
-            if ends is None:
+        p, none = self.model.p, (ZERO,) * len(self.free)
+        for bound in super().bounds():
+            if bound.number >= len(self.y):
+                yield bound._replace(row=(*bound.row, *none))
                 continue
-            i, (lo, hi) = j % p, ends
+            i, (lo, hi) = bound.number % p, self.known_limits(bound.number)
             # 0 <= E z + K U - g lo and 0 <= g hi - E z - K U: each is at most 2 reach
-            reach = (hi - lo) / 2 * self.gain_ends(i)[1]
+            reach = bound.radius * self.gain_ends(i)[1]
             for sign, value in ((1, -lo), (-1, hi)):
-                middle = reach - sign * self.drive[j]
+                middle = reach - sign * self.drive[bound.number]
                 if i not in self.free:
                     middle -= value
-                row = (*scale(unknowns[j], sign), *(value * (i == other) for other in self.free))
-                yield _Side(j, sign, row, middle, reach)
-        for j in range(len(self.y), len(self.limits)):
-            lo, hi = self.known_limits(j)
-            yield _Side(j, 1, (*unknowns[j], *none), (lo + hi) / 2 - self.drive[j], (hi - lo) / 2)
+                row = (*scale(bound.row, sign), *(value * (i == other) for other in self.free))
+                yield Bound(bound.number, sign, row, middle, reach)
+        nothing = (ZERO,) * len(self.unknown_columns()[0])
         for i in self.free:
             lo, hi = self.gain_ends(i)
-            row = (*scale(unknowns[0], 0), *(ONE * (i == other) for other in self.free))
-            yield _Side(0, 0, row, (lo + hi) / 2, (hi - lo) / 2)
+            row = (*nothing, *(ONE * (i == other) for other in self.free))
+            yield Bound(0, 0, row, (lo + hi) / 2, (hi - lo) / 2)
 
     def rows_at(self, z: Sequence[Fraction]) -> Vector:
         """Return the true (Y, w) at unknowns (z, gains)."""

@@ -248,7 +248,7 @@ def _weighed(scale: Scale, fault: NamedFault) -> FaultSize:
     onsets = range(scale.window.horizon + 1)
     if fault.kind != PARAMETER:
         return scale.weigh(fault, onsets)
-    found = found_size(scale.window, scale.explanation, fault, onsets)
+    found = found_size(scale.window, fault, onsets)
     if found.size is None:
         raise NotImplementedError(
             f"none of {found.tried} trials of its size, up to {float(fault.most or 0):g}, and of the sample "

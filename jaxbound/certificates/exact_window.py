@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from itertools import chain
-from typing import ClassVar, Self, TypeAlias, TypeVar
+from typing import ClassVar, NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from jaxbound.certificates.checker.words import Document
 from jaxbound.certificates.plain import exact_floats, plain_factors, plain_model, plain_samples
 from jaxbound.consistency.interface import Bounds
 from jaxbound.exact import linalg
-from jaxbound.exact.chebyshev import Reference, chebyshev
+from jaxbound.exact.chebyshev import chebyshev, likely_point
 from jaxbound.exact.linalg import Matrix, Vector, dot
 from jaxbound.models import window
 from jaxbound.models.rows import WindowRows
@@ -36,7 +36,7 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
 
 __all__ = """
-    Ends ExactWindow Explanation Stretch exact_window known_inputs readable_relation rounded_up
+    Bound Ends ExactWindow Explanation Stretch exact_window known_inputs readable_relation rounded_up
     rounded_witness shorter stretched unstretched window_of
 """.split()
 
@@ -72,6 +72,19 @@ Bounded: TypeAlias = ParityRelation | UncertainRelations | Stretch
 """What a window is cut for: relations, or a stretch in their place."""
 
 
+class Bound(NamedTuple):
+    """A bound on unknowns z: |middle - row z| <= radius.
+
+    Fields: number of the row of (Y, w) that it speaks of; sign: of it, 0 where it bounds a gain alone.
+    """
+
+    number: int
+    sign: int
+    row: Vector
+    middle: Fraction
+    radius: Fraction
+
+
 @dataclass(frozen=True)
 class Explanation:
     """The nearest that a window comes to its bounds.
@@ -79,7 +92,7 @@ class Explanation:
     Fields: factor, on all bounds, at which it just becomes consistent; h, k: the tightest relation h (Y, w) =
     k U of an exact plant (zeros where there is none); residual, width: its value at the middles and the
     largest that the bounds allow, factor = |residual| / width;
-    z: unknowns that keep all rows within factor times their bounds; reference: a start for a similar window.
+    z: unknowns that keep all rows within factor times their bounds.
     """
 
     factor: Fraction
@@ -88,7 +101,6 @@ class Explanation:
     residual: Fraction
     width: Fraction
     z: Vector
-    reference: Reference | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,24 +184,30 @@ class ExactWindow:
         assert ends is not None, f"row {number} lacks a sample"
         return ends
 
-    def solve(self, start: Reference | None = None) -> Explanation:
-        """Return the Explanation of this window. `start`: the reference of a similar one (same samples
-        missing).
-        """
-        rows = tuple(i for i, ends in enumerate(self.limits) if ends is not None)
-        middles, radii = [], []
-        for i in rows:
-            lo, hi = self.known_limits(i)
-            middles.append((lo + hi) / 2 - self.drive[i])
-            radii.append((hi - lo) / 2)
-        E = self.unknown_columns()
-        best = chebyshev([E[i] for i in rows], middles, radii, start)
+    def solve(self) -> Explanation:
+        """Return the Explanation of this window."""
+        numbers, signs, rows, middles, radii = zip(*self.bounds(), strict=True)
+        best = chebyshev(rows, middles, radii)
         h = [ZERO] * len(self.limits)
-        for i, x in zip(rows, best.h, strict=True):
-            h[i] = x
+        for i, sign, x in zip(numbers, signs, best.h, strict=True):
+            h[i] += sign * x
         shown = readable_relation(h)
-        k, residual, width = self.relation(shown)
-        return Explanation(best.t, shown, k, residual, width, best.z, best.reference)
+        return Explanation(best.t, shown, *self.relation(shown), best.z)
+
+    def is_explained(self) -> bool:
+        """Return whether unknowns explain the window: those that floats propose, or the exact optimum."""
+        _, _, rows, middles, radii = zip(*self.bounds(), strict=True)
+        proposed = likely_point(rows, middles, radii)
+        if proposed is not None and self.explained_by(rounded_witness(self, proposed)):
+            return True
+        return self.solve().factor <= 1
+
+    def bounds(self) -> Iterator[Bound]:
+        """Yield the bounds of the unknowns by each row that has its samples."""
+        for number, (row, ends) in enumerate(zip(self.unknown_columns(), self.limits, strict=True)):
+            if ends is not None:
+                lo, hi = ends
+                yield Bound(number, 1, row, (lo + hi) / 2 - self.drive[number], (hi - lo) / 2)
 
     @property
     def forms(self) -> tuple[Matrix, Matrix]:

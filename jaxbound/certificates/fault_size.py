@@ -26,8 +26,8 @@ from itertools import chain
 from math import isqrt
 from typing import NamedTuple, Self, TypeAlias
 
-from jaxbound.certificates.exact_window import ExactWindow, Explanation, rounded_up, rounded_witness
-from jaxbound.certificates.supposed import Push, Side, error_of, limits_of, push_of, with_fault
+from jaxbound.certificates.exact_window import ExactWindow, rounded_up, rounded_witness
+from jaxbound.certificates.supposed import Push, Side, error_of, limits_of, pushes_of, with_fault
 from jaxbound.exact.linalg import Vector, dot
 from jaxbound.models.named_faults import NamedFault
 
@@ -71,16 +71,14 @@ class FaultSize:
     explains all: `size` is the most that one of them takes; since: the sample of
     the window from which on it is constant, None for an excluded one: from none; beyond: of an excluded one,
     the smallest size that would explain the window although its sign or bounds rule it out, None where none
-    does; proof: the relations h, ((h, h, ..), ..), for each onset, that leave no size;
-    z: unknowns that explain the window with it. tried: of a parameter how many pairs of a size and an onset
-    were tried: its size is the smallest of those that explain, and None is no proof.
+    does; z: unknowns that explain the window with it. tried: of a parameter how many pairs of a size and an
+    onset were tried: its size is the smallest of those that explain, and None is no proof.
     """
 
     fault: NamedFault
     size: Fraction | None
     since: int | None = None
     beyond: Fraction | None = None
-    proof: tuple[tuple[Vector, ...], ...] = ()
     z: Vector | None = None
     tried: int = 0
     largest: Fraction | None = None
@@ -139,30 +137,27 @@ Paths: TypeAlias = Mapping[int, Sequence[Path]]
 
 
 class End(NamedTuple):
-    """The upper end of a relation h as a fault grows along a Path, in t = forward x: steady + the sum of all
-    weight * side.
+    """The upper end of a relation h as a fault grows along a Path, in t = forward x: whole at x + the sum of
+    all weight * side.
 
-    Fields: h; steady; forward; used: (weight, Side) of the rows whose ends move.
+    Fields: h; whole; forward; bent: (weight, Side) of the rows of a sensor with a tolerance.
     """
 
     h: Vector
-    steady: Fraction
+    whole: Side
     forward: int
-    used: Sequence[tuple[Fraction, Side]]
+    bent: Sequence[tuple[Fraction, Side]]
 
     def at(self, t: Fraction) -> Fraction:
         """Return its value."""
-        weights, values = [], []
-        for weight, side in self.used:
-            weights.append(weight)
-            values.append(side.at(self.forward * t))
-        return self.steady + dot(weights, values)
+        x = self.forward * t
+        return self.whole.at(x) + sum((weight * side.at(x) for weight, side in self.bent), ZERO)
 
     def next_kept(self, t: Fraction) -> Fraction | None:
         """Return the first t' >= t at which the end is not below 0; None: there is none."""
         if self.at(t) >= 0:
             return t
-        kinks = {-side.a / (self.forward * side.b) for _, side in self.used if side.sigma and side.b}
+        kinks = {-side.a / (self.forward * side.b) for _, side in self.bent if side.b}
         for stop in [*sorted(kink for kink in kinks if kink > t), None]:
             # a parabola between two kinks: through three of its points
             step = ONE
@@ -182,43 +177,47 @@ def ends_of(cut: Cut, push: Push, forward: int, window: ExactWindow) -> Iterator
     """Yield the End of a relation h, and that of -h, in t = forward x."""
     h, residual, width = cut
     for sign in (1, -1):
-        used, steady = [], sign * residual + width
+        weights, moved, bent = [ONE], [Side(sign * residual + width, ZERO)], []
         for row, (low, high) in push.items():
             if h[row]:
                 side, end = high, window.known_limits(row)[1]
                 if sign * h[row] < 0:
                     side, end = low, -window.known_limits(row)[0]
-                used.append((abs(h[row]), side))
-                steady -= abs(h[row]) * end
-        yield End(h, steady, forward, used)
+                if side.sigma:
+                    bent.append((abs(h[row]), side))
+                    side = Side(ZERO, ZERO)
+                weights.append(abs(h[row]))
+                moved.append(side._replace(a=side.a - end))
+        a, b, c, _ = (dot(weights, values) for values in zip(*moved, strict=True))
+        yield End(h, Side(a, b, c), forward, bent)
 
 
 class Reached(NamedTuple):
     """The first x of a path that explains a window. Fields: x, z: unknowns with it; z None: none explains.
-    passed: the relations that leave no smaller one, the last one leaves the least, or none.
+    passed: the last relation that leaves no smaller one, None: there was none.
     """
 
     x: Fraction
     z: Vector | None
-    passed: list[Vector]
+    passed: Vector | None
 
 
 @dataclass(eq=False)
 class Scale:
     """The sizes of named faults of one window, and the relations that were collected for them.
 
-    Fields: window; explanation: of the window without a fault; cuts: relations that faults violate; errors,
+    Fields: window; h: the relation that it violates most; cuts: relations that faults violate; errors,
     without: what was worked out of outputs and of inputs.
     """
 
     window: ExactWindow
-    explanation: Explanation
+    h: Vector
     cuts: list[Cut] = field(default_factory=list)
     errors: dict[int, SensorError] = field(default_factory=dict)
     without: dict[int, bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._add(self.explanation.h)
+        self._add(self.h)
 
     def _add(self, h: Vector) -> None:
         """Collect one more relation."""
@@ -227,7 +226,7 @@ class Scale:
     def explained_without(self, i: int) -> bool:
         """Return whether something explains the window, whatever the actuator of input i did."""
         if i not in self.without:
-            self.without[i] = self.window.without_input(i).solve().factor <= 1
+            self.without[i] = self.window.without_input(i).is_explained()
         return self.without[i]
 
     def error(self, i: int) -> SensorError:
@@ -239,14 +238,14 @@ class Scale:
     def _error(self, i: int) -> SensorError:
         push = error_of(i, self.window)
         size, z, passed = self._reached(Path(push, ZERO, ENDLESS))
-        h = [self.explanation.h, *passed][-1]
+        h = passed or self.h
         if z is None:
             return SensorError(i, None, h)
         if not size:
             return SensorError(i, size, h)
         enough = rounded_up(size)
         wider = with_fault(self.window, push, enough)
-        z = rounded_witness(wider, wider.solve(self.explanation.reference).z)  # fewer digits than at `size`
+        z = rounded_witness(wider, wider.solve().z)  # fewer digits than at `size`
         return SensorError(i, size, h, enough, with_fault(self.window, push, size), z)
 
     def weigh(self, fault: NamedFault, onsets: Iterable[int] = (0,)) -> FaultSize:
@@ -257,36 +256,31 @@ class Scale:
                 constant; before that there is none.
 
         Raises:
-            NotImplementedError: as `push_of`.
+            NotImplementedError: as `pushes_of`.
         """
-        paths = {since: list(self._paths(fault, since)) for since in onsets}
+        paths = self._paths(fault, onsets)
         smallest = self._smallest(fault, paths)
         if smallest.size is not None:
             return replace(smallest, largest=self._largest(paths, smallest.size))
         bare = copy(fault)
         vars(bare).update(sign=None, least=None, most=None, between=None)
         if bare != fault:
-            paths = {since: list(self._paths(bare, since)) for since in paths}
-            smallest = replace(smallest, beyond=self._smallest(bare, paths).size)
+            smallest = replace(smallest, beyond=self._smallest(bare, self._paths(bare, paths)).size)
         return smallest
 
     def _smallest(self, fault: NamedFault, paths: Paths) -> FaultSize:
         """Return the FaultSize of a fault without its largest size."""
-        found, most, proofs = None, ENDLESS, []
+        found, most = None, ENDLESS
         for since, own in paths.items():
-            proof: dict[int, Vector] = {}  # each relation once
             for path in own:
                 nearer = path.between(ZERO, most)
                 if nearer is None:
                     continue
-                x, z, passed = self._reached(nearer)
-                if z is None:
-                    proof |= zip(map(id, passed), passed, strict=True)
-                elif found is None or abs(path.size(x)) < most:
+                x, z, _ = self._reached(nearer)
+                if z is not None and (found is None or abs(path.size(x)) < most):
                     most, found = abs(path.size(x)), (since, path, x, z)
-            proofs.append(tuple(proof.values()))
         if found is None:
-            return FaultSize(fault, None, proof=tuple(proofs))
+            return FaultSize(fault, None)
         since, path, x, z = found
         z = rounded_witness(with_fault(self.window, path.push, x), z)
         return FaultSize(fault, path.size(x), since, z=z)
@@ -305,32 +299,39 @@ class Scale:
             size = path.size(x)
         return size
 
-    def _paths(self, fault: NamedFault, since: int) -> Iterator[Path]:
-        """Yield the sizes of a fault that begins at a sample of the window, as paths.
+    def _paths(self, fault: NamedFault, onsets: Iterable[int]) -> Paths:
+        """Return the sizes of a fault as paths, for each sample of the window at which it begins.
 
         Raises:
-            NotImplementedError: as `push_of`.
+            NotImplementedError: as `pushes_of`.
         """
-        signs, least, most = [1, -1], fault.least or ZERO, ENDLESS
-        low, high = limits_of(fault, self.window, since, ENDLESS)
+        signs, most = [1, -1], ENDLESS
         if fault.most is not None:
             most = fault.most
         if fault.sign is not None:
             signs = [1 - 2 * (fault.sign == "-")]
+        pushes = pushes_of(fault, self.window)
         is_gain = fault.kind == "gain" and fault.output is not None
         if is_gain:
             most = min(most, MOST_GAIN)
-        push = push_of(fault, self.window, since)
-        for sign in signs:
-            near, far = (sign * end for end in (low, high)[::sign])
-            paths = [Path(push, ZERO, sign * ENDLESS, int(is_gain))]
-            if is_gain and sign < 0:
-                inverted = push_of(fault, self.window, since, inverted=True)
-                paths = [Path(inverted, -ONE, -ENDLESS, -1), Path(push, ZERO, -ONE, 1)]
-            for path in paths:
-                part = path.between(max(least, near), min(most, far))
-                if part is not None:
-                    yield part
+            inverted = pushes_of(fault, self.window, inverted=True)
+        by_onset: dict[int, list[Path]] = {}
+        for since in onsets:
+            low, high = limits_of(fault, self.window, since, ENDLESS)
+            by_onset[since] = []
+            for sign in signs:
+                near, far = (sign * end for end in (low, high)[::sign])
+                paths = [Path(pushes[since], ZERO, sign * ENDLESS, int(is_gain))]
+                if is_gain and sign < 0:
+                    paths = [
+                        Path(inverted[since], -ONE, -ENDLESS, -1),
+                        Path(pushes[since], ZERO, -ONE, 1),
+                    ]
+                for path in paths:
+                    part = path.between(max(fault.least or ZERO, near), min(most, far))
+                    if part is not None:
+                        by_onset[since].append(part)
+        return by_onset
 
     def _reached(self, path: Path, backward: bool = False) -> Reached:
         """Return the first x of a path that explains the window; backward: from the largest size on."""
@@ -341,24 +342,24 @@ class Scale:
         t, end = forward * t, forward * end
         if backward:
             forward, t, end = -forward, -min(end, max(t, ONE) * FAR), -t
-        passed: list[Vector] = []
+        passed: Vector | None = None
         ends: list[End] = []
-        best = self.explanation
         while True:
-            for cut in self.cuts[len(ends) // 2 :]:
-                ends += ends_of(cut, path.push, forward, self.window)
             here = t
-            for upper in ends:
-                farther = upper.next_kept(t)
+            for number in range(2 * len(self.cuts)):
+                if number == len(ends):
+                    ends += ends_of(self.cuts[number // 2], path.push, forward, self.window)
+                farther = ends[number].next_kept(t)
                 if farther == t:
                     continue
-                passed.append(upper.h)
+                passed = ends[number].h
                 if farther is None or farther > end:
+                    self.cuts.insert(0, self.cuts.pop(number // 2))  # likely to end the next path, too
                     return Reached(forward * t, None, passed)
                 t = farther
             if t > here:
                 continue
-            best = with_fault(self.window, path.push, forward * t).solve(best.reference)
+            best = with_fault(self.window, path.push, forward * t).solve()
             if best.factor <= 1:
                 return Reached(forward * t, best.z, passed)
             self._add(best.h)

@@ -18,7 +18,16 @@ from jaxbound.models.named_faults import NamedFault
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.progress import Progress
 
-__all__ = ["Index", "Judgement", "WindowCertificate", "certify", "evidence", "explain", "nothing_to_explain"]
+__all__ = [
+    "Index",
+    "Judgement",
+    "WindowCertificate",
+    "certificate_of",
+    "certify",
+    "evidence",
+    "explain",
+    "nothing_to_explain",
+]
 
 Index: TypeAlias = tuple[int, ...]
 """Where a window ends: (.., sample)."""
@@ -199,22 +208,15 @@ class WindowCertificate:
         return smt2(self.to_dict(errors=False))
 
 
-@singledispatch
 def certify(
-    relations: object,
-    u: np.ndarray,
-    y: np.ndarray,
-    method: str = "joint",
-    status: Status | None = None,
-    at: Index | None = None,
+    relations: object, u: np.ndarray, y: np.ndarray, status: Status | None = None, at: Index | None = None
 ) -> WindowCertificate:
     """Prove the verdict of one window.
 
     Args:
-        relations: as for `detect`. u (s+1, m), y (s+1, p): the samples, arrays of floats. method: of the
-            detection.
-        status: the verdict of the detection; None: that of exact numbers. at: the name of the window, a
-            tuple; default (s,).
+        relations: as for `detect`. u (s+1, m), y (s+1, p): the samples, arrays of floats. status: the
+            verdict of the detection; None: that of exact numbers. at: the name of the window, a tuple;
+            default (s,).
 
     Returns:
         A WindowCertificate.
@@ -222,6 +224,16 @@ def certify(
     Raises:
         ValueError: no relation has its data. NotImplementedError: a verdict that one relation or one
             behaviour cannot prove.
+    """
+    return certificate_of(relations, u, y, status, at or (len(y) - 1,))
+
+
+@singledispatch
+def certificate_of(
+    relations: object, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
+) -> WindowCertificate:
+    """Return the WindowCertificate of `certify`, by the type of the relations: what a kind of proof
+    registers, with the verdict of the detection or None, and the name of the window.
     """
     raise NotImplementedError(
         f"certificates are given for relations that detect knows, not {type(relations).__name__}"
@@ -238,15 +250,14 @@ def explain(result: Judgement, at: Index) -> WindowCertificate:
     status = Status(int(result.status[at]))
     if status == Status.MISSING:
         raise nothing_to_explain(at)
-    relations, method, u, y = evidence(result.relations, result, at, status)
-    return certify(relations, u, y, method, status, at)
+    return certify(*evidence(result.relations, result, at, status), status, at)
 
 
 @singledispatch
 def evidence(
     relations: Relations, result: Judgement, at: Index, status: Status
-) -> tuple[Any, str, np.ndarray, np.ndarray]:
-    """Return (relations, method, u, y): the window whose certificate explains the verdict of a Result at an
+) -> tuple[Any, np.ndarray, np.ndarray]:
+    """Return (relations, u, y): the window whose certificate explains the verdict of a Result at an
     index, chosen by its relations.
 
     Raises:
@@ -256,4 +267,4 @@ def evidence(
     samples = slice(end - relations.horizon, end + 1)
     u = np.asarray(result.u)[tuple(recording)][samples]
     y = np.asarray(result.y)[tuple(recording)][samples]
-    return relations, result.method, u, y
+    return relations, u, y

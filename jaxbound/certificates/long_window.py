@@ -27,12 +27,11 @@ from jaxbound.certificates.certificate import Certificate
 from jaxbound.certificates.exact_window import (
     Ends,
     ExactWindow,
-    Explanation,
     Stretch,
     known_inputs,
     window_of,
 )
-from jaxbound.certificates.interface import Index, certify
+from jaxbound.certificates.interface import Index, certificate_of
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector, add_multiple, dot, multiply, transpose
 from jaxbound.models.system import LinearSystem
@@ -294,17 +293,8 @@ class LongCertificate(Certificate):
     window: LongWindow
 
 
-@certify.register
-def _(
-    relations: Stretch,
-    u: np.ndarray,
-    y: np.ndarray,
-    method: str = "joint",
-    status: Status | None = None,
-    at: Index | None = None,
-) -> LongCertificate:
-    if at is None:
-        at = (relations.horizon,)
+@certificate_of.register
+def _(relations: Stretch, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index) -> LongCertificate:
     window = _long_window(relations, u, y)
     rows = window.multipliers()
     h = (*rows, *window.backward(rows).disturbances)
@@ -315,6 +305,5 @@ def _(
             f"{at[-1]} alone"
         )
     factor = abs(residual) / width
-    best = Explanation(factor, h, k, residual, width, ())
     text = relation_text(window.model, window.horizon, h, k)
-    return LongCertificate(Status.FAULT, at, text, h, k, residual, width, factor, window, best, None)
+    return LongCertificate(Status.FAULT, at, text, h, k, residual, width, factor, window, None)

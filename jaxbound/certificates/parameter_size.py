@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from jaxbound.certificates.exact_window import ExactWindow, Explanation, known_inputs, rounded_witness
+from jaxbound.certificates.exact_window import ExactWindow, known_inputs, rounded_witness
 from jaxbound.certificates.fault_size import FaultSize
 from jaxbound.exact.chebyshev import nearest
 from jaxbound.models.named_faults import NamedFault
@@ -42,13 +42,11 @@ def changed_window(window: ExactWindow, fault: NamedFault, size: Fraction, since
     return replace(window, own=own).with_limits(window.limits)
 
 
-def found_size(
-    window: ExactWindow, explanation: Explanation, fault: NamedFault, onsets: Iterable[int] = (0,)
-) -> FaultSize:
+def found_size(window: ExactWindow, fault: NamedFault, onsets: Iterable[int] = (0,)) -> FaultSize:
     """Return the FaultSize of a parameter: the smallest size that was found, its proof the unknowns z.
 
     Args:
-        window: of a certain model. explanation: of it without a fault. fault: a parameter of the model.
+        window: of a certain model. fault: a parameter of the model.
         onsets: samples of the window from one of which on it is another.
 
     Returns:
@@ -125,4 +123,4 @@ class _Search:
         found = nearest(z, off)
         if found is None:
             return np.inf  # so far from the model that numbers end
-        return found[0]
+        return found.t

@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
+from jaxbound.certificates.interface import (
+    Index,
+    Sample,
+    WindowCertificate,
+    certificate_of,
+    nothing_to_explain,
+)
 from jaxbound.certificates.plain import exact_floats
 from jaxbound.certificates.witness import Numbers, texts
 from jaxbound.consistency.bisection import BUDGET, search
@@ -106,17 +112,10 @@ def _exact_box(box: Interval) -> Numbers:
     return {"lo": exact_floats(np.asarray(box.lo)), "hi": exact_floats(np.asarray(box.hi))}
 
 
-@certify.register
+@certificate_of.register
 def _(
-    relations: Residual,
-    u: np.ndarray,
-    y: np.ndarray,
-    method: str = "joint",
-    status: Status | None = None,
-    at: Index | None = None,
+    relations: Residual, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
 ) -> ResidualCertificate:
-    if at is None:
-        at = (relations.horizon,)
     if not (np.isfinite(u).all() and np.isfinite(y).all()):
         raise nothing_to_explain(at)
     paved = search(relations, u[None], y[None], 100 * BUDGET)

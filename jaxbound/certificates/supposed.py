@@ -22,10 +22,11 @@ from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.shared_columns import Follower, Polynomial, followers
+from jaxbound.models.window import actions
 from jaxbound.recordings.expressions import expression
 from jaxbound.text.names import listed
 
-__all__ = ["Moves", "Push", "Side", "error_of", "limits_of", "moves_of", "push_of", "with_fault"]
+__all__ = ["Moves", "Push", "Side", "error_of", "limits_of", "moves_of", "pushes_of", "with_fault"]
 
 ZERO, ONE = Fraction(0), Fraction(1)
 Recorded: TypeAlias = list[Fraction | None]
@@ -44,7 +45,15 @@ class Side(NamedTuple):
 
     def at(self, x: Fraction) -> Fraction:
         """Return its value at x."""
-        return stretched(self.a + self.b * x + self.c * x * x, self.sigma)
+        return stretched(self.a + (self.b + self.c * x) * x, self.sigma)
+
+
+class Action(NamedTuple):
+    """A signal that acts on states and on outputs. Fields: shares: how much x moves it at each sample."""
+
+    on_states: Vector
+    on_outputs: Vector
+    shares: Sequence[Fraction]
 
 
 Push: TypeAlias = Mapping[int, tuple[Side, Side]]
@@ -59,19 +68,16 @@ def with_fault(window: ExactWindow, push: Push, x: Fraction) -> ExactWindow:
     return window.with_limits(limits)
 
 
-def _sides(
-    ends: Ends, sigma: Fraction, low: tuple[Fraction, Fraction], high: tuple[Fraction, Fraction]
-) -> tuple[Side, Side]:
-    """Return the sides of a row with these ends, and the (b, c) of each."""
-    lo, hi = ends
-    return Side(unstretched(-lo, sigma), *low, sigma), Side(unstretched(hi, sigma), *high, sigma)
+def _apart(ends: Ends, sigma: Fraction) -> Ends:
+    """Return (-low, high) of a row before the tolerance of its sensor."""
+    return unstretched(-ends[0], sigma), unstretched(ends[1], sigma)
 
 
-def push_of(fault: NamedFault, window: ExactWindow, since: int = 0, inverted: bool = False) -> Push:
-    """Return the Push of a fault on the rows of a window.
+def pushes_of(fault: NamedFault, window: ExactWindow, inverted: bool = False) -> list[Push]:
+    """Return the Push of a fault on the rows of a window for each sample at which it may begin.
 
     Args:
-        since: the sample of the window at which it begins. inverted: of the gain of a sensor, it is below 0.
+        inverted: of the gain of a sensor, it is below 0.
 
     Raises:
         NotImplementedError: as `moves_of`; the gain of a sensor whose averages are bounded.
@@ -79,16 +85,22 @@ def push_of(fault: NamedFault, window: ExactWindow, since: int = 0, inverted: bo
     sigma = ZERO
     if fault.output is not None:
         if fault.kind == "gain":
-            return _push_of_gain(fault.output, window, since, inverted)
+            push = _push_of_gain(fault.output, window, inverted)
+            count = window.model.p
+            return [{j: push[j] for j in push if j >= since * count} for since in range(window.horizon + 1)]
         sigma = window.tolerance[window.model.outputs.index(fault.output)]
-    first, second = moves_of(fault, window, since)
-    push = {}
-    for row, (ends, b, c) in enumerate(
-        zip(window.limits, first, second or (ZERO,) * len(first), strict=True)
-    ):
-        if ends is not None and (b or c):
-            push[row] = _sides(ends, sigma, (b, c), (-b, -c))
-    return push
+    apart = {row: _apart(ends, sigma) for row, ends in enumerate(window.limits) if ends is not None}
+    pushes: list[Push] = []
+    for first, second in moves_of(fault, window):
+        push = {}
+        for row, (low, high) in apart.items():
+            b, c = first[row], ZERO
+            if second:
+                c = second[row]
+            if b or c:
+                push[row] = Side(low, b, c, sigma), Side(high, -b, -c, sigma)
+        pushes.append(push)
+    return pushes
 
 
 def error_of(i: int, window: ExactWindow) -> Push:
@@ -102,11 +114,12 @@ def error_of(i: int, window: ExactWindow) -> Push:
         ends = window.limits[number]
         if ends is not None and by:
             sigma = window.tolerance[i]  # 0 where averages have bounds
-            push[number] = _sides(ends, sigma, (by, ZERO), (by, ZERO))
+            low, high = _apart(ends, sigma)
+            push[number] = Side(low, by, ZERO, sigma), Side(high, by, ZERO, sigma)
     return push
 
 
-def _push_of_gain(name: str, window: ExactWindow, since: int, inverted: bool) -> Push:
+def _push_of_gain(name: str, window: ExactWindow, inverted: bool) -> Push:
     """Return the Push of the gain of an output, in x = 1 / (1 + f)."""
     model = window.model
     i = model.outputs.index(name)
@@ -117,43 +130,42 @@ def _push_of_gain(name: str, window: ExactWindow, since: int, inverted: bool) ->
     sigma, offset = window.tolerance[i], model.offset["y"][i]
     push = {}
     for j, ends in enumerate(window.limits[: len(window.y)]):
-        if j % model.p != i or j // model.p < since or ends is None:
+        if j % model.p != i or ends is None:
             continue
-        low, high = unstretched(-ends[0], sigma), unstretched(ends[1], sigma)  # rho - d, rho + d
+        low, high = _apart(ends, sigma)  # rho - d, rho + d
         if inverted:
             low, high = -high, -low  # |x| = -x
         push[j] = Side(offset, low - offset, ZERO, sigma), Side(-offset, high + offset, ZERO, sigma)
     return push
 
 
-def moves_of(fault: NamedFault, window: ExactWindow, since: int = 0) -> Moves:
-    """Return how a fault moves the rows of a window; of a sensor its readings, before any tolerance.
-
-    Args:
-        since: the sample of the window at which it begins.
+def moves_of(fault: NamedFault, window: ExactWindow) -> list[Moves]:
+    """Return how a fault moves the rows of a window, for each sample at which it may begin; of a sensor its
+    readings, before any tolerance.
 
     Raises:
         NotImplementedError: an input that its size is multiplied by is missing; a signal that is computed
             from the actuator's column in a way that is not followed.
     """
     model, shares = window.model, _shares(fault, window)
-    shares[:since] = [ZERO] * since
     if fault.input is not None:
-        return _moves_of_actuator(fault.input, window, shares)
-    on_states: Vector = (ZERO,) * model.n
-    on_outputs: Vector = (ZERO,) * model.p
-    if fault.output is not None:
-        on_outputs = linalg.identity(model.p)[model.outputs.index(fault.output)]
+        first, second = _actions_of_actuator(fault.input, window, shares)
     else:
-        shares_of = dict(fault.states)
-        on_states = tuple(shares_of.get(name, ZERO) for name in model.states)
-    return _response(window, on_states, on_outputs, shares), ()
+        of_states, own = dict(fault.states), [fault.output == name for name in model.outputs]
+        on_states = tuple(of_states.get(name, ZERO) for name in model.states)
+        first, second = [Action(on_states, tuple(map(Fraction, own)), shares)], []
+    squares: list[Vector] = [()] * (window.horizon + 1)
+    if second:
+        squares = _since_each(window, second)
+    return list(zip(_since_each(window, first), squares, strict=True))
 
 
-def _moves_of_actuator(name: str, window: ExactWindow, shares: Sequence[Fraction]) -> Moves:
-    """Return the moves of an input that is another than was recorded, and of what is computed from it."""
+def _actions_of_actuator(
+    name: str, window: ExactWindow, shares: Sequence[Fraction]
+) -> tuple[list[Action], list[Action]]:
+    """Return the actions of an input that is another than was recorded: those by x, and by its square."""
     model = window.model
-    moves: list[Vector] = [(), ()]
+    does: tuple[list[Action], list[Action]] = [], []
     for signal in followers(model, name):
         on_states: Vector = (ZERO,) * model.n
         if signal.is_input:
@@ -165,10 +177,9 @@ def _moves_of_actuator(name: str, window: ExactWindow, shares: Sequence[Fraction
             )
         else:  # recorded from the same column, so wrong by as much
             on_outputs = linalg.scale(linalg.identity(model.p)[signal.number], -1)
-        for i, by in enumerate(_powers(window, signal, shares)):
-            moved = _response(window, on_states, on_outputs, by)
-            moves[i] = linalg.add_multiple(moves[i] or (ZERO,) * len(moved), 1, moved)
-    return moves[0], moves[1]
+        for power, by in zip(does, _powers(window, signal, shares), strict=False):
+            power.append(Action(on_states, on_outputs, by))
+    return does
 
 
 def limits_of(
@@ -273,24 +284,16 @@ def _shares(fault: NamedFault, window: ExactWindow) -> list[Fraction]:
     return [x or ZERO for x in recorded]
 
 
-def _response(
-    window: ExactWindow, on_states: Vector, on_outputs: Vector, shares: Sequence[Fraction]
-) -> Vector:
-    """Return how the rows of a window are moved by a signal that acts on states and outputs."""
-    model = window.model
-    state: Vector = (ZERO,) * model.n
-    moved: list[Fraction] = []
-    for share in shares:
-        outputs: Vector = (ZERO,) * model.p
-        if any(state):
-            outputs = linalg.multiply(model.C, state)
-        moved += linalg.add_multiple(outputs, share, on_outputs)
-        if model.n:
-            state = linalg.add_multiple(linalg.multiply(model.A, state), share, on_states)
-    moved += [ZERO] * (model.g * window.horizon)
-    for row in window.rows.of_sums:
-        total = ZERO
-        for term in window.rows.terms(row):
-            total += term.weight * moved[term.row]
-        moved.append(total)
-    return tuple(moved)
+def _since_each(window: ExactWindow, does: Sequence[Action]) -> list[Vector]:
+    """Return how actions move the rows of a window, for each sample at which they may begin."""
+    model, s = window.model, window.horizon
+    moved: Vector = (ZERO,) * len(window.limits)
+    by_onset = [moved] * (s + 1)
+    columns = [
+        linalg.transpose(actions(model, s, on_states, on_outputs)) for on_states, on_outputs, _ in does
+    ]
+    for since in range(s, -1, -1):
+        for action, samples in zip(does, columns, strict=True):
+            moved = linalg.add_multiple(moved, action.shares[since], samples[since])
+        by_onset[since] = moved
+    return by_onset

@@ -23,7 +23,13 @@ from jaxbound.certificates.exact_window import (
     rounded_witness,
     shorter,
 )
-from jaxbound.certificates.interface import Index, Sample, WindowCertificate, certify, nothing_to_explain
+from jaxbound.certificates.interface import (
+    Index,
+    Sample,
+    WindowCertificate,
+    certificate_of,
+    nothing_to_explain,
+)
 from jaxbound.certificates.witness import Numbers, Witnessed, every_sample, rows_of
 from jaxbound.consistency import parametric_windows
 from jaxbound.exact import linalg
@@ -193,17 +199,10 @@ def _variables(relations: UncertainRelations) -> list[Variable]:
     return variables
 
 
-@certify.register
+@certificate_of.register
 def _(
-    relations: UncertainRelations,
-    u: np.ndarray,
-    y: np.ndarray,
-    method: str = "joint",
-    status: Status | None = None,
-    at: Index | None = None,
+    relations: UncertainRelations, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
 ) -> UncertainCertificate:
-    if at is None:
-        at = (relations.horizon,)
     if np.isnan(y).all():
         raise nothing_to_explain(at)
     cases = list(parametric_windows.cases(relations, u, y, np.zeros(1, int)))

@@ -89,7 +89,7 @@ def explain_window(directory: str | Path, at: str, step: Step) -> Explained:
             part = source.read(k - horizon, k + 1)
             if part.across(horizon)[horizon]:
                 raise ValueError("a window across a gap in time is MISSING")
-            certificate = certify(relations, part.u, part.y, method)
+            certificate = certify(relations, part.u, part.y)
     except ValueError as e:
         raise ValueError(f"{axis.label(k)} (sample {k}): {e}") from None
     first = part.samples - certificate.window.horizon - 1

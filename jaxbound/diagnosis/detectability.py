@@ -515,7 +515,7 @@ def _size(
     first = True
     while True:
         radii = linalg.add_multiple(widths, f, spread)
-        best = chebyshev(space, linalg.scale(shift, f), radii, best.reference)
+        best = chebyshev(space, linalg.scale(shift, f), radii)
         if best.t < 1 or (best.t == 1 and first and any(spread)):
             return None
         size = _least(best.h, shift, widths, spread)

@@ -172,7 +172,7 @@ def isolability(
         bare = copy(fault)
         vars(bare)["between"] = None
         try:
-            weighed[fault.name] = bare, moves_of(bare, healthy)
+            weighed[fault.name] = bare, moves_of(bare, healthy)[0]
         except NotImplementedError as e:
             unweighed[fault.name] = str(e)
     detectable: dict[str, Fraction | None] = {}
@@ -186,7 +186,7 @@ def isolability(
             best = shown.solve()
             if best.factor <= 1:
                 continue
-            sizes = Scale(shown, best)
+            sizes = Scale(shown, best.h)
             for other, (another, _) in weighed.items():
                 if other == name:
                     continue

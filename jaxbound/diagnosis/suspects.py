@@ -83,10 +83,10 @@ def nameless(relations: Relations) -> str:
     return ""
 
 
-def suspect_of_window(relations: Relations, method: str, u: np.ndarray, y: np.ndarray) -> Suspect:
+def suspect_of_window(relations: Relations, u: np.ndarray, y: np.ndarray) -> Suspect:
     """Return the suspects of the FAULT window that samples u (s+1, m), y (s+1, p) are."""
     try:
-        certificate = certify(relations, u, y, method, Status.FAULT)
+        certificate = certify(relations, u, y, Status.FAULT)
     except NotImplementedError:  # no proof by one relation
         return UNKNOWN
     names, cause = certificate.candidates, _cause(certificate)

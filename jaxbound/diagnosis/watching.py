@@ -151,11 +151,11 @@ class Watching:
         """Return the suspects of the window that ends at a sample, of a monitor of the test that speaks."""
         if not self.names:
             u, y = self.samples(sample - self.relations.horizon, sample + 1)
-            return suspect_of_window(self.relations, self.method, np.asarray(u), np.asarray(y))
+            return suspect_of_window(self.relations, np.asarray(u), np.asarray(y))
         bank = cast(MonitorBank, self.relations)
         relations = bank.watches[test].relations
         if nameless(relations):
             return UNKNOWN
         u, y = (np.asarray(x) for x in self.samples(sample - relations.horizon, sample + 1))
         seen = bank.seen_by(test, Recording(u, y, NOWHERE), bank.modes_of(u))
-        return suspect_of_window(relations, "joint", seen.u, seen.y)
+        return suspect_of_window(relations, seen.u, seen.y)

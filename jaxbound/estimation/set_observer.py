@@ -422,6 +422,6 @@ def _interval(ends: np.ndarray, width: int) -> Interval:
 @evidence.register(SetObserver)
 def _(
     observer: SetObserver[Any], result: ObservedResult, at: tuple[int, ...], status: Status
-) -> tuple[Any, str, np.ndarray, np.ndarray]:
+) -> tuple[Any, np.ndarray, np.ndarray]:
     """Return the shortest window that proves a FAULT, see `short_proof`."""
     return short_proof(observer.model, observer.first_box, result, at, status)

@@ -38,8 +38,8 @@ def short_proof(
     result: ObservedResult,
     at: tuple[int, ...],
     status: Status,
-) -> tuple[Any, str, np.ndarray, np.ndarray]:
-    """Return (relations, method, u, y) of the shortest of some windows that end at a sample and prove its
+) -> WindowProof:
+    """Return (relations, u, y) of the shortest of some windows that end at a sample and prove its
     FAULT.
 
     A chain of sets is long and nobody reads it; most contradictions show in the last samples. Tried are 2, 3,
@@ -73,7 +73,7 @@ def short_proof(
         proof = _window_proof(model, h, u[k - h :], y[k - h :], bounded)
         if proof is not None:
             relations, u, y = proof
-            return relations, "joint", np.asarray(u), np.asarray(y)
+            return relations, np.asarray(u), np.asarray(y)
     many = f"no window of up to {min(LONGEST, k - since, k) + 1} samples proves this alone"
     raise NotImplementedError(
         f"{many}: the FAULT at sample {k} rests on all since {since if since >= 0 else 'a recording before'}"

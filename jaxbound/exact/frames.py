@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
-from math import gcd, lcm, log
+from math import gcd, log
 from operator import mul
 from typing import NamedTuple, Self
 
@@ -42,12 +42,13 @@ def frame(
     """
     report = reporter(progress)
     reduced, inner = row_reduce(transpose(E), partial(in_part, report, 0.0, 0.5))
-    out = _Frame.eliminated(transpose(reduced) or ((),) * len(E), inner, K)
+    R, outer = transpose(reduced) or ((),) * len(E), tuple(j for j in range(len(E)) if j not in set(inner))
+    out = _Frame(tuple(_Row(*integers(R[j])) for j in outer), inner, outer)
     first, done = out.largest_entry()[0], 0.0
     while True:
         size, j, i = out.largest_entry()
         if size <= largest:
-            return out.in_fractions()
+            return out.in_fractions(K)
         # the largest entry falls to `largest`, now and then up again
         done = max(done, 1 - _log(size / largest) / _log(first / largest))
         in_part(report, 0.5, 0.5, done)
@@ -61,9 +62,9 @@ def _log(x: Fraction) -> float:
 
 
 class _Row(NamedTuple):
-    """A row of R and K in whole numbers over one denominator: fractions take several times as long.
+    """A row of R in whole numbers over one denominator: fractions take several times as long.
 
-    Fields: numbers: those of R, then those of K. over: what they are divided by, above 0.
+    Fields: numbers; over: what they are divided by, above 0.
     """
 
     numbers: tuple[int, ...]
@@ -95,42 +96,34 @@ class _Row(NamedTuple):
 
 @dataclass(frozen=True)
 class _Frame:
-    """An `ExactFrame` whose rows of R and K are in whole numbers."""
+    """An `ExactFrame` whose rows of R are in whole numbers, and K is left out."""
 
     rows: tuple[_Row, ...]
     inner: tuple[int, ...]
     outer: tuple[int, ...]
 
-    @classmethod
-    def eliminated(cls, R: Matrix, inner: tuple[int, ...], K: Matrix) -> Self:
-        """Return the frame of the rows y = R y_inner + (K - R K_inner) u."""
-        inner_known, below = integers([x for i in inner for x in K[i]])
+    def in_fractions(self, K: Matrix) -> ExactFrame:
+        """Return the frame in fractions: y_outer = R y_inner + (K_outer - R K_inner) u."""
+        inner_known, below = integers([x for i in self.inner for x in K[i]])
         columns = [inner_known[b :: len(K[0])] for b in range(len(K[0]))]
-        outer, rows = tuple(j for j in range(len(R)) if j not in set(inner)), []
-        for j in outer:
-            (mine, over), (known, under) = integers(R[j]), integers(K[j])
-            common = lcm(over * below, under)
-            numbers = [x * (common // over) for x in mine]
-            for x, column in zip(known, columns, strict=True):
-                through = sum(map(mul, mine, column))
-                numbers.append(x * (common // under) - through * (common // (over * below)))
-            rows.append(_Row.reduced(numbers, common))
-        return cls(tuple(rows), inner, outer)
-
-    def in_fractions(self) -> ExactFrame:
-        """Return the frame in fractions."""
-        k, R, K = len(self.inner), [], []
-        for row in self.rows:
-            entries = tuple(Fraction(x, row.over) for x in row.numbers)
-            R.append(entries[:k])
-            K.append(entries[k:])
-        return ExactFrame(tuple(R), tuple(K), self.inner, self.outer)
+        R, own = [], []
+        for row, j in zip(self.rows, self.outer, strict=True):
+            R.append(tuple(Fraction(x, row.over) for x in row.numbers))
+            entries = []
+            for x, column in zip(K[j], columns, strict=True):
+                through = sum(map(mul, row.numbers, column))
+                if through:  # few inputs act on the inner rows
+                    by, under = row.over * below, x.denominator
+                    x = Fraction(x.numerator * by - through * under, under * by)
+                entries.append(x)
+            own.append(tuple(entries))
+        return ExactFrame(tuple(R), tuple(own), self.inner, self.outer)
 
     def largest_entry(self) -> tuple[Fraction, int, int]:
         """Return (size, row, column) of the largest entry of R, the last one of equals."""
-        k, entries = len(self.inner), [(Fraction(0), 0, 0)]
+        entries = [(Fraction(0), 0, 0)]
         for j, row in enumerate(self.rows):
-            size, i = max(((abs(x), i) for i, x in enumerate(row.numbers[:k])), default=(0, 0))
+            size, i = max(((abs(x), i) for i, x in enumerate(row.numbers)), default=(0, 0))
             entries.append((Fraction(size, row.over), j, i))
         return max(entries)
 

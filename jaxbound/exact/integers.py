@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["places", "quotients", "ratios", "total", "whole_floats"]
+__all__ = ["places", "ratios", "total", "whole_floats"]
 
 MANTISSA = 53
 """Bits of a float: times 2^53 its mantissa is whole."""
@@ -44,8 +44,3 @@ def ratios(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     both_zero = (above == 0) & (below == 0)
     with np.errstate(divide="ignore"):
         return np.where(above == 0, 0, above / np.where(both_zero, 1, below))
-
-
-def quotients(x: Iterable[int], divisor: int) -> np.ndarray:
-    """Return integers divided by one as floats."""
-    return np.array([int(v) / divisor for v in x], np.float64)

@@ -146,7 +146,12 @@ def dot(a: Iterable[Fraction | int], b: Iterable[Fraction | int]) -> Fraction:
 
 def multiply(a: Rows, x: Row) -> Vector:
     """Return the vector a x."""
-    return tuple(dot(row, x) for row in a)
+    whole, over = integers(x)
+    out = []
+    for row in a:
+        own, under = integers(row)
+        out.append(Fraction(sum(map(mul, own, whole)), under * over))
+    return tuple(out)
 
 
 def scale(row: Row, factor: Fraction | int) -> Vector:

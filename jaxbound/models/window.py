@@ -28,6 +28,7 @@ from jaxbound.models.system import LinearSystem
 
 __all__ = [
     "ParameterForm",
+    "actions",
     "disturbance_form",
     "first_form",
     "input_lags",
@@ -126,9 +127,21 @@ def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     )
     E = linalg.beside(O, V, G_v) + own
     K = H + linalg.zeros(count, model.m * input_lags(model, horizon))
+    return _with_sums(model, horizon, E), _with_sums(model, horizon, K)
+
+
+@lru_cache(maxsize=64)
+def actions(model: LinearSystem, horizon: int, on_states: Vector, on_outputs: Vector) -> Matrix:
+    """Return the rows of `unknowns` on s + 1 samples of a signal that acts on states and on outputs."""
+    drive, direct = (tuple((x,) for x in column) for column in (on_states, on_outputs))
+    rows = _toeplitz(_outputs_on_state(model, horizon), drive, direct, horizon + 1)
+    return _with_sums(model, horizon, rows + linalg.zeros(model.g * horizon, horizon + 1))
+
+
+def _with_sums(model: LinearSystem, horizon: int, single: Matrix) -> Matrix:
+    """Return the rows of single samples with those of bounded sums behind them."""
     rows = window_rows(model, horizon)
-    F = [_spread(rows, row) for row in rows.of_sums]
-    return E + linalg.matmul(F, E), K + linalg.matmul(F, K)
+    return single + linalg.matmul([_spread(rows, row) for row in rows.of_sums], single)
 
 
 class ParameterForm:

@@ -13,6 +13,7 @@ from oracles import MODELS, Plant, Windows, draw
 from systems import paper
 
 import jaxbound as jb
+from jaxbound.certificates.checker.claim import checksum
 from jaxbound.certificates.exact_window import exact_window
 from jaxbound.certificates.interface import certify
 from jaxbound.diagnosis.alarms import Alarm
@@ -89,7 +90,7 @@ def test_a_wrong_digit_in_the_proof_is_caught_by_mathematics_alone(name, rng):
     for c in (fault, healthy):
         document, fields = json.loads(c.to_json()), proof[c.status]
         total = lambda document: sum(_flat({k: v for k, v in document["numbers"].items() if k != "sum"}))
-        assert total(document) == Fraction(document["numbers"]["sum"])
+        assert checksum([total(document)]) == Fraction(document["numbers"]["sum"])
         for _ in range(6):
             wrong = corrupted(
                 document,
@@ -103,6 +104,17 @@ def test_a_wrong_digit_in_the_proof_is_caught_by_mathematics_alone(name, rng):
 def _flat(tree):
     check_certificate.numbers(tree, seen := [])
     return seen
+
+
+def test_the_sum_of_numbers_of_many_digits_is_written(rng):
+    """The denominators of 200 samples have thousands of digits together, more than Python writes as text."""
+    A = [["0.7", "0.123456789012345"], ["-0.123456789012345", "0.987654321098765"]]
+    m = jb.LinearSystem(A, None, [[1, 0]], noise=0.1, horizon=200)
+    y = np.round(rng.uniform(-0.1, 0.1, (201, 1)), 3)
+    y[100:] += 1
+    document = json.loads(certify(jb.parity_relations(m), np.zeros((201, 0)), y).to_json())
+    check_certificate.confirm(document)
+    assert document["certificate"] == "FAULT" and refused(corrupted(document, rng))
 
 
 def test_the_other_verdict_is_not_confirmed(rng):

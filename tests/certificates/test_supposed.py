@@ -8,7 +8,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.certificates.fault_size import FaultSize, Scale
 from jaxbound.certificates.interface import certify
-from jaxbound.certificates.supposed import push_of, with_fault
+from jaxbound.certificates.supposed import pushes_of, with_fault
 from jaxbound.sets.floats.status import Status
 
 KINDS = {
@@ -77,7 +77,7 @@ def test_the_true_fault_is_never_excluded(kind, tolerance, rng):
             continue
         stated = [{}, {"most": abs(f)}, {"least": abs(f), "sign": "+" if f > 0 else "-"}][weighed % 3]
         fault = jb.NamedFault("f", **KINDS[kind], **stated)
-        found = Scale(certificate.window, certificate.explanation).weigh(fault, range(3))
+        found = Scale(certificate.window, certificate.h).weigh(fault, range(3))
         size, slip = found.size, F(1, 10**9)
         assert size is not None and abs(size) <= abs(f) * (1 + slip), (f, since, stated)
         if size * f > 0 and found.largest is not None:
@@ -89,7 +89,7 @@ def test_the_true_fault_is_never_excluded(kind, tolerance, rng):
 def explains(window, fault, size):
     """Return whether a fault does, from any sample on, by the exact window alone."""
     x = 1 / (1 + size) if fault.get("kind") == "gain" else size
-    pushes = [push_of(jb.NamedFault("f", **fault), window, k, x < 0 and "kind" in fault) for k in range(3)]
+    pushes = pushes_of(jb.NamedFault("f", **fault), window, x < 0 and "kind" in fault)
     return any(with_fault(window, push, x).solve().factor <= 1 for push in pushes)
 
 
@@ -102,7 +102,7 @@ def test_both_ends_of_the_sizes_explain_and_none_beyond_does(fault, rng):
         if certificate.proves != Status.FAULT:
             continue
         window = certificate.window
-        found = Scale(window, certificate.explanation).weigh(jb.NamedFault("f", **fault), range(3))
+        found = Scale(window, certificate.h).weigh(jb.NamedFault("f", **fault), range(3))
         if found.size is None or found.largest is None or abs(found.largest) > 10**5:
             continue
         ends += 1

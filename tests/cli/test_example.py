@@ -49,7 +49,7 @@ def test_files_are_the_same_each_time_and_nothing_of_others_is_replaced(place, c
     )
     relations, run = jb.parity_relations(m, 15), jb.read("tank/tank.csv", m)
     proved = [
-        certify(relations, run.u[k - 15 : k + 1], run.y[k - 15 : k + 1], "joint").proves
+        certify(relations, run.u[k - 15 : k + 1], run.y[k - 15 : k + 1]).proves
         for k in (199, *range(200, 260, 7), 280)
     ]
     assert [p == jb.Status.FAULT for p in proved] == [False] + [True] * 9 + [

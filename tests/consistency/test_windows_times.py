@@ -221,7 +221,7 @@ def test_a_combination_contradicts_by_the_factors_alone():
         u, y = gather(given.u, given.y, starts, reading.lags, s)
         if not seen:  # the combinations that speak most against windows whose factor is 1
             plain = jb.detect(relations, table, margins="exact")
-            h = np.array([plain.explain(int(k + s)).explanation.h for k in starts], float).T[outer]
+            h = np.array([plain.explain(int(k + s)).h for k in starts], float).T[outer]
         seen[text] = contradicted_by(reading, u, y, h)
     one, four, half = seen.values()
     assert one.any() and (four <= one).all() and (one <= half).all()

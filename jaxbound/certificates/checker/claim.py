@@ -9,7 +9,7 @@ them: so a certificate of either verdict speaks of the same numbers.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction as F
 from typing import Any, cast
 
@@ -21,6 +21,7 @@ __all__ = [
     "PRECISIONS",
     "SINGLE",
     "STATED",
+    "checksum",
     "claimed",
     "compare",
     "numbers",
@@ -37,6 +38,8 @@ BOUNDS = ("tolerance", "noise", "resolution", "disturbance")
 """Numbers of a model that a claim has rounded outward."""
 LONGEST_EXPONENT = 5
 """Characters of an exponent: the digits of 1e-12345, written out, would be no work for a checker."""
+PRIME = 2**127 - 1
+"""Of a sum that shows whether a number was changed."""
 RECORDER_ULPS = 4
 """A sample is known to so many unit roundoffs times the largest of its signal: see the argument `resolution`
 of a LinearSystem.
@@ -110,6 +113,11 @@ def statement(verdict: str, names: Document, claim: Mapping[str, Any]) -> str:
     if "lags" in claim:
         window += f", outputs looked at {', '.join(map(str, claim['lags']))} samples before the last"
     return f"{behaviour} of {names['model']} within its bounds{begins} explains {window}"
+
+
+def checksum(every: Iterable[F]) -> F:
+    """Return the sum of numbers, modulo a prime: the sum itself may have thousands of digits."""
+    return F(sum(x.numerator * pow(x.denominator, -1, PRIME) for x in every) % PRIME)
 
 
 def compare(shown: object, wanted: object, where: str = "numbers") -> None:

@@ -22,7 +22,7 @@ from fractions import Fraction as F
 from typing import Any
 
 from jaxbound.certificates.checker.boxes import contradict, relation_range
-from jaxbound.certificates.checker.claim import compare, numbers, statement
+from jaxbound.certificates.checker.claim import checksum, compare, numbers, statement
 from jaxbound.certificates.checker.trajectories import Error, behaviour, limits, runs_of
 from jaxbound.certificates.checker.words import Document, insist
 
@@ -57,7 +57,8 @@ def confirm(document: Document, names: dict[str, Any], claim: Document) -> None:
     compare(document["names"], names, "names")
     sentence = statement(verdict, document["names"], claim)
     insist(document["statement"] == sentence, f"the statement must be: {sentence}")
-    insist(sum(every) == 2 * c["sum"], "the numbers do not add up: one was changed")  # the sum is one of them
+    adds_up = checksum(every) == checksum([2 * c["sum"]])  # the sum is one of them
+    insist(adds_up, "the numbers do not add up: one was changed")
 
     # 2. The rest of its numbers prove the verdict.
     proof = {name: value for name, value in c.items() if name not in claim and name != "sum"}
