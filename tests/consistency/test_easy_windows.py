@@ -155,7 +155,8 @@ def with_explanation(margin_of):
 
 @with_explanation
 def of_part(given, u, y):
-    return steps.clipped_margin(given.projection, projection._rows(given, u, y), stretch=True)[0]
+    rows = projection.rows_of(given, *given.reading.windows(u, y))
+    return steps.clipped_margin(given.projection, rows, stretch=True)[0]
 
 
 @with_explanation
