@@ -513,6 +513,7 @@ print(*sys.modules, file=sys.stderr)
     def test_a_run_from_the_shell(self, place, shell):
         args, environment = shell
         args = [*args, "detect", "model.toml", "faulty.csv", "--out", "out", "--json"]
+        environment = environment | {"JAXBOUND_COMPILE": "always"}
         done = subprocess.run(args, env=environment, cwd=place, capture_output=True, text=True, timeout=120)
         assert done.returncode == 1 and done.stderr == "" and json.loads(done.stdout)["verdict"] == "fault"
         assert any((place / "cache/jaxbound").iterdir())  # compiled kernels are kept
