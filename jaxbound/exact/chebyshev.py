@@ -152,7 +152,7 @@ def _likely(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> tup
 def likely_point(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> tuple[Fraction, ...] | None:
     """Return a point z that may keep |b_i - E_i z| <= r_i, found in floats; None: floats know none."""
     found = _in_floats(E, b, r)
-    if found is None or found.t > 1:
+    if found is None or found.t > 1 or not np.isfinite(found.z).all():
         return None
     return tuple(map(Fraction, found.z.tolist()))
 
@@ -167,7 +167,7 @@ def _in_floats(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> 
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         # enough to search; the exact steps know better
         rows /= np.maximum(radii, radii.max() / SPREAD)[:, None]
-    return nearest(rows[:, :-1], rows[:, -1])
+        return nearest(rows[:, :-1], rows[:, -1])
 
 
 class Nearest(NamedTuple):

@@ -9,7 +9,7 @@ import pytest
 from oracles import Program
 
 from jaxbound.exact import chebyshev as module
-from jaxbound.exact.chebyshev import chebyshev
+from jaxbound.exact.chebyshev import chebyshev, likely_point
 
 
 def draw(rng, rows, unknowns, digits=2):
@@ -156,3 +156,7 @@ def test_rows_of_zeros_are_no_rows_of_a_reference(rng):
         assert_optimal(
             rows, [Fraction(3), Fraction(0), Fraction(3)], [Fraction(1), Fraction(1), Fraction(2)], best
         )
+
+
+def test_a_point_that_no_float_holds_is_none():
+    assert likely_point([[Fraction(1, 10**200)]], [Fraction(10**200)], [Fraction(1)]) is None
