@@ -232,8 +232,10 @@ def certify(
 def certificate_of(
     relations: object, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
 ) -> WindowCertificate:
-    """Return the WindowCertificate of `certify`, by the type of the relations: what a kind of proof
-    registers, with the verdict of the detection or None, and the name of the window.
+    """Return the WindowCertificate of `certify`, by the type of relations: what a kind of proof registers.
+
+    Args:
+        relations, u, y, status: as for `certify`. at: the name of the window.
     """
     raise NotImplementedError(
         f"certificates are given for relations that detect knows, not {type(relations).__name__}"
