@@ -263,7 +263,7 @@ def _(
 def _(
     relations: Redundancy, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
 ) -> WindowCertificate:
-    return certify(relations.relations, u, y, status, at)
+    return certify(relations.relations, u, y, status=status, at=at)
 
 
 def _window(relations: ParityRelation, u: np.ndarray, y: np.ndarray) -> ExactWindow:

@@ -170,6 +170,8 @@ class End(NamedTuple):
                 return t + root
             if stop is not None:
                 t = stop
+                if self.at(t) >= 0:  # the root was rounded past it
+                    return t
         return None
 
 
@@ -353,10 +355,10 @@ class Scale:
                 if farther == t:
                     continue
                 passed = ends[number].h
-                if farther is None or farther > end:
+                if farther is None or (farther > end and ends[number].at(end) < 0):
                     self.cuts.insert(0, self.cuts.pop(number // 2))  # likely to end the next path, too
                     return Reached(forward * t, None, passed)
-                t = farther
+                t = min(farther, end)  # a root is rounded on
             if t > here:
                 continue
             best = with_fault(self.window, path.push, forward * t).solve()

@@ -209,7 +209,12 @@ class WindowCertificate:
 
 
 def certify(
-    relations: object, u: np.ndarray, y: np.ndarray, status: Status | None = None, at: Index | None = None
+    relations: object,
+    u: np.ndarray,
+    y: np.ndarray,
+    *,
+    status: Status | None = None,
+    at: Index | None = None,
 ) -> WindowCertificate:
     """Prove the verdict of one window.
 
@@ -252,7 +257,7 @@ def explain(result: Judgement, at: Index) -> WindowCertificate:
     status = Status(int(result.status[at]))
     if status == Status.MISSING:
         raise nothing_to_explain(at)
-    return certify(*evidence(result.relations, result, at, status), status, at)
+    return certify(*evidence(result.relations, result, at, status), status=status, at=at)
 
 
 @singledispatch

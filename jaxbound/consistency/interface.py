@@ -503,7 +503,7 @@ class WindowTest:
     by_kernels: ClassVar[bool] = False
     """Whether `judge` computes by `kernel`s alone: few windows may then be evaluated in NumPy, seen once."""
     on_host: ClassVar[bool] = False
-    """Whether `judge` is NumPy alone: nothing is compiled, and no device is asked whether it may prove."""
+    """Whether `judge` is NumPy alone: nothing is compiled, and no probe asked for."""
     weight: int = 1
     """How many windows of a small test NumPy evaluates in the time of one of this."""
     by_strips: ClassVar[bool] = False

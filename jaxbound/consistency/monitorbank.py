@@ -42,7 +42,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.watched import NO, UNKNOWN, YES, modes_at, watched
 from jaxbound.recordings.factors import factors_of, known, masked
 from jaxbound.recordings.recording import Recording
-from jaxbound.sets.floats.probe import default_device, refuse_unusable
+from jaxbound.sets.floats.probe import default_device, where_proofs_hold
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.text.objects import readable
@@ -269,9 +269,11 @@ class MonitorBank(Observer[BankState]):
         return BankState(states, last), together
 
     def followed(self, carry: BankState, piece: Recording) -> tuple[BankState, Judged]:
-        """Return the verdicts of `fold`: each test asks by itself where it may be decided."""
-        refuse_unusable()
-        return self.fold(carry, piece)
+        """Return the verdicts of `fold`, on the CPU as those of any observer; what compiles asks for the
+        probe.
+        """
+        with where_proofs_hold(compiled=False):
+            return self.fold(carry, piece)
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise NotImplementedError: each test has its own."""

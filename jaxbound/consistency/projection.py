@@ -1,4 +1,4 @@
-"""Easy windows first: one fixed projection settles most windows of long relations, before any search.
+"""Easy windows first: least squares and a few clipped steps settle most windows of long relations.
 
 `sets.strips.projection` has the idea and the proof.
 """
@@ -72,7 +72,7 @@ class _Easy(SignedTest):
 
 
 class EasyStretches(_Easy):
-    """Proves windows of contiguous samples CONSISTENT, by one projection."""
+    """Proves windows of contiguous samples CONSISTENT, by fewer steps."""
 
     gathered = False
     block = BLOCK

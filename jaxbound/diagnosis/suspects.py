@@ -86,7 +86,7 @@ def nameless(relations: Relations) -> str:
 def suspect_of_window(relations: Relations, u: np.ndarray, y: np.ndarray) -> Suspect:
     """Return the suspects of the FAULT window that samples u (s+1, m), y (s+1, p) are."""
     try:
-        certificate = certify(relations, u, y, Status.FAULT)
+        certificate = certify(relations, u, y, status=Status.FAULT)
     except NotImplementedError:  # no proof by one relation
         return UNKNOWN
     names, cause = certificate.candidates, _cause(certificate)

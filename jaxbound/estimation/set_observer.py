@@ -233,7 +233,7 @@ class SetObserver(Observer[State], Generic[State]):
         samples XLA follows the first. Only a FAULT that rests on samples of a piece before, which nobody
         keeps, begins with the set that was carried to there.
         """
-        numbers, behind = np.arange(len(fault))[:, None], self._behind_faults(carry, fault)
+        numbers, behind = np.arange(len(fault))[:, None], self._behind_faults(carry, fault) & ~samples.fresh
         anew, first = samples.fresh | behind, fault
         if not self.restart:  # of a FAULT that stays, the first
             anew, first = samples.fresh, fault & ~behind

@@ -149,6 +149,8 @@ def multiply(a: Rows, x: Row) -> Vector:
     whole, over = integers(x)
     out = []
     for row in a:
+        if len(row) != len(x):
+            raise ValueError(f"a row of {len(row)} numbers times a vector of {len(x)} has no meaning")
         own, under = integers(row)
         out.append(Fraction(sum(map(mul, own, whole)), under * over))
     return tuple(out)

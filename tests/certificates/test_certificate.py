@@ -305,3 +305,9 @@ def test_what_has_no_certificate_yet_is_refused():
         certify(r, np.zeros((2, 1)), np.zeros((2, 2)), status=Status.FAULT)
     with pytest.raises(ValueError, match="window 1 is MISSING: there is nothing to explain"):
         certify(r, np.zeros((2, 1)), np.full((2, 2), np.nan))
+
+
+def test_a_window_that_does_not_move_is_explained():
+    m = jb.LinearSystem([[1]], None, [[1]], noise=0.1)
+    c = certify(jb.parity_relations(m, 2), np.zeros((3, 0)), np.full((3, 1), 3.0))
+    assert c.proves == Status.CONSISTENT and c.relation

@@ -361,3 +361,12 @@ def test_a_parameter_that_is_not_found_is_left_open():
     assert found.sizes == {"bias": None}
     assert "left open: fouled (none of " in str(found) and "no proof" in str(found)
     assert "states that nobody knows" in jb.isolability(model, model.faults, horizon=3).unweighed["fouled"]
+
+
+def test_a_root_at_the_end_of_stated_sizes_is_no_exclusion():
+    m = jb.LinearSystem(
+        None, None, None, [[1, 1]], noise="1/10", inputs=["cool", "cool2"], columns={"cool2": "= cool*cool"}
+    )
+    c = certify(jb.parity_relations(m, 0), np.zeros((1, 2)), np.array([[0.85]]))
+    (found,) = c.diagnose([NamedFault("o", input="cool", least="1/3", most="1/2")]).explains
+    assert found.size == Fraction(1, 2)

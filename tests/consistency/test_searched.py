@@ -188,6 +188,16 @@ def test_no_other_settings_are_asked_of_a_device_that_searches(rng):
         assert (jb.detect(relations, u, y).status == Status.FAULT).any()
 
 
+def test_a_monitor_of_windows_is_followed_on_the_host(rng):
+    relations, u, y = recordings("strips", rng)
+    model = relations.model.replace(tests=[{"name": "one", "horizon": 1}, {"name": "two", "horizon": 2}])
+    here = jb.detect(jb.monitor(model), u, y)
+    with unexamined():
+        there = jb.detect(jb.monitor(model), u, y)
+    np.testing.assert_array_equal(there.status, here.status)
+    assert (here.status == Status.CONSISTENT).any() and there.device.startswith("the CPU")
+
+
 def miscopied(numbers):
     """Return other numbers of the same shapes, such as a device may hold that copied them wrongly."""
     rng = np.random.default_rng(0)

@@ -10,9 +10,12 @@ import pytest
 from observer_case import PLANT, inside, program, published, recorded, systems
 
 import jaxbound as jb
+from jaxbound.consistency.twice import Doubtful
 from jaxbound.estimation import zonotope_steps
 from jaxbound.estimation.methods import OBSERVERS
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 
 pytestmark = pytest.mark.compiled
 
@@ -283,3 +286,25 @@ def test_a_long_beginning_holds_the_state_where_large_inputs_cancel(rng):
     found = jb.observe(model, u, x @ C.T, horizon=31, order=4, weight=1)
     assert inside(found, x).all() and not (found.status == jb.Status.FAULT).any()
     assert np.isfinite(found.state.hi[:, 31:]).all()
+
+
+def test_a_gap_ends_the_proof_of_a_fault_that_stays(monkeypatch):
+    """What XLA alone says behind the gap is UNDECIDED, however well the FAULT before it is proved."""
+    m = jb.LinearSystem([[0.5]], None, [[1], [1]], dt=1, noise=[0.1, 0.1])
+    real = SetObserver.found
+
+    def found(self, carry, samples):
+        if is_outside_xla():
+            return real(self, carry, samples)
+        with outside_xla():
+            state, verdicts = real(self, carry, samples)
+        status = np.array(verdicts.status)
+        status[6:] = jb.Status.FAULT
+        return state, verdicts._replace(status=status)
+
+    monkeypatch.setattr(SetObserver, "found", found)
+    y = np.zeros((12, 2))
+    y[5] = [5, -5]
+    with outside_xla(False), pytest.warns(Doubtful):
+        status = jb.detect(jb.observer(m, restart=False), None, y, starts=[6]).status
+    assert status[5] == jb.Status.FAULT and (status[6:] == jb.Status.UNDECIDED).all()

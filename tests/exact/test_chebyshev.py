@@ -160,3 +160,14 @@ def test_rows_of_zeros_are_no_rows_of_a_reference(rng):
 
 def test_a_point_that_no_float_holds_is_none():
     assert likely_point([[Fraction(1, 10**200)]], [Fraction(10**200)], [Fraction(1)]) is None
+
+
+def test_there_is_a_circuit_wherever_rows_depend_on_each_other():
+    """Also where everything fits: who explains a window shows a relation that holds."""
+    one = Fraction(1)
+    cases = [([[one], [one]], [-1000, -1000], [4, 2]), ([[one, 0], [0, one], [0, one]], [3, 5, 5], [1, 1, 1])]
+    for E, b, r in cases:
+        best = chebyshev(E, list(map(Fraction, b)), list(map(Fraction, r)))
+        assert best.t == 0 and any(best.h)
+        assert not any(sum(x * row[j] for x, row in zip(best.h, E, strict=True)) for j in range(len(E[0])))
+    assert not any(chebyshev([[one, 0], [0, one]], [one, one], [one, one]).h)

@@ -98,19 +98,22 @@ def refuse_unusable() -> None:
 
 
 @contextlib.contextmanager
-def where_proofs_hold() -> Iterator[None]:
+def where_proofs_hold(compiled: bool = True) -> Iterator[None]:
     """Do on the CPU what proves, where work would go to a device that may only search; also a decorator.
+
+    Args:
+        compiled: False where whoever compiles asks for the probe itself.
 
     Raises:
         Unverified: nothing can be proved on the CPU either.
     """
-    card = searching_device()
+    card, refuse = searching_device(), refuse_unverified if compiled else refuse_unusable
     if not card or is_searching():
-        refuse_unverified()
+        refuse()
         yield
         return
     with jax.default_device(_host_beside(card)):
-        refuse_unverified()
+        refuse()
         yield
 
 
@@ -139,7 +142,7 @@ def searching_device() -> str:
     if default_device() is None and is_cpu_default():  # asked for each sample of a stream
         return ""
     for device in usable_devices():
-        if _doubt(device) and kind_of_device(device)["platform"] != "cpu":
+        if kind_of_device(device)["platform"] != "cpu" and _doubt(device):
             return named(kind_of_device(device))
     return ""
 

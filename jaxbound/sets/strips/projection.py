@@ -1,22 +1,21 @@
-"""Long windows that are easy: one fixed projection proves most of them CONSISTENT.
+"""Long windows that are easy: least squares and a few steps prove most of them CONSISTENT.
 
 In the words of `separation`, a window is consistent iff some d keeps the errors
 
     e = (z - R d, -d)                                                         outer rows, then inner ones
 
-within their radii. The d of least squares is one fixed matrix times z, d = P z, and where errors are spread
-it keeps nearly all windows within their bounds. Nothing is searched, nothing gathered: what is left open goes
-to the exchange search.
+within their radii. The d of least squares is one fixed matrix times z, and where errors are spread it keeps
+nearly all windows within their bounds; a few steps from it keep most of the others. What is left open goes to
+the exchange search.
 
-**Proof.** P is whatever its floats are, so d* = P z* is a point for the exact z*, and all that is computed
-approximates the exact e* = (z* - R d*, -d*). Its error, whatever the compiler computes twice or contracts, is
-below
+**Proof.** d is whatever floats make of it: of that very d all that is computed approximates the exact e. Its
+error, whatever the compiler computes twice or contracts, is below
 
     on_rows S + on_inputs S_u + floor (1 + S + S_u),    S = max scale, S_u = max (|v| + |offset|),
 
-with the numbers of `projection_of`; e* within the radii proves CONSISTENT.
+with the numbers of `projection_of`; the exact e within the radii proves CONSISTENT.
 
-**What it leaves open** (`clipped_margin`). The excess of e beyond a share of the radii is projected, and d
+**Steps** (`clipped_margin`). The excess of e beyond a share of the radii is projected, and d
 moves by a multiple of that,
 
     x = e - clip(e, SHARE r),    d <- d + OVER (A'WA)^-1 A'W x,    A = (R, 1),
@@ -274,7 +273,7 @@ def projection_of(
         step,
         weight[:c].astype(dtype),
         (SAFE * off).astype(dtype),
-        np.asarray(FLUSHED * floor, dtype),
+        np.asarray(floor, dtype),
         tuple(outer),
         tuple(inner),
         weighted,

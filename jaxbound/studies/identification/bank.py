@@ -73,6 +73,7 @@ def fitted_bank(
     base = fit_for(best_test(tests), 0.25, 0.15, sentences)
     check = base.check
     if asked.test == AUTO:
+        report(1.0)
         return Fitted(base, dataclasses.replace(check, tests=tuple(tests)))
     observer = asked.observing
     if asked.disturbances is not None and observer is None:

@@ -49,6 +49,7 @@ from jaxbound.studies.tuning.scaling import (
 )
 from jaxbound.studies.tuning.tune_result import History, TuneResult
 from jaxbound.studies.tuning.widening import Smallest, concluded, stated_factor
+from jaxbound.text.names import listed
 from jaxbound.text.progress import reporter
 
 if TYPE_CHECKING:
@@ -157,11 +158,11 @@ def tune(
             bound.
         safety: factor >= 1 on the smallest bounds, for what the data did not show: 1.25 as in `fit` and at
             the command line; 1 for the smallest themselves. It is kept apart and in no statement.
-        calibrate: share of the blocks of healthy windows that has no part in finding the direction, on which
-            the statement about other data rests; 0: all are used to find it.
+        calibrate: share of the blocks of healthy windows, a third, that has no part in finding the direction,
+            on which the statement about other data rests; 0: all are used to find it.
         block: windows in a block; None: so many that there are about 100 blocks.
-        confidence: of that statement.
-        every: steps between two looks at all windows.
+        confidence: of that statement, .95.
+        every: steps between two looks at all windows, 10.
         state: a file that is kept up to date: the same call goes on from it. An interruption (Ctrl-C) ends
             the search, not the call.
 
@@ -181,6 +182,10 @@ def tune(
         >>> round(res.scale, 6), res.bounds["noise"], res.counts["FAULT"]
         (2.0, array([0.3001]), 0)
     """
+    unknown = set(fields) - set(TuneFields.__annotations__)
+    if unknown:
+        rare = listed(TuneFields.__annotations__)
+        raise TypeError(f"tune takes no argument {listed(sorted(unknown))}; the rare ones are {rare}")
     plan = _Asked(optimizer, steps, **fields)
     safety, confidence, state = plan.safety, plan.confidence, plan.state
     _check_relations(relations)

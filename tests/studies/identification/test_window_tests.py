@@ -28,7 +28,9 @@ def recorded(rng, T=90):
 
 def test_the_test_that_sees_the_smallest_errors_is_taken_and_proved(rng):
     records = [recorded(rng), recorded(rng)]
-    model = jb.fit(records, order=1, test="auto", method="least squares")
+    shares = []
+    model = jb.fit(records, order=1, test="auto", method="least squares", progress=shares.append)
+    assert shares == sorted(shares) and shares[-1] == 1
     tests = model.check.tests
     assert [test.window for test in tests if test.window.average is None] == [FEW[0], FEW[1], FEW[3]]
     best = min(tests, key=lambda test: test.blindness)
