@@ -120,7 +120,7 @@ __all__ = [
     "with_faults",
     "zonotope",
 ]
-__version__ = "0.3.0.dev1"
+__version__ = "0.3.0.dev2"
 
 # where a name is imported from when it is first asked for; types of results live in rooms, and answer at the
 # top too; all users write down the type Result
