@@ -350,7 +350,9 @@ def test_bounds_that_cannot_explain_are_refused(rng):
         jb.tune(relations(dict(TOLERANT, noise=[9, 9]), 1), good, steps=0, bounds="tolerance")
     with pytest.raises(ValueError, match="away from 0"):
         jb.tune(relations(dict(BLOWN, disturbance=([[1], [0]], [[0.1, 0.2]])), 1), good)
-    with pytest.raises(TypeError, match="tune takes no argument stepz; the rare ones are bounds, weights"):
+    with pytest.raises(
+        TypeError, match="tune takes no argument 'stepz'; the rare ones are 'bounds', 'weights'"
+    ):
         jb.tune(relations(TOLERANT, 1), good, stepz=3)
     with pytest.raises(TypeError, match="from parity_relations"):
         jb.tune(jb.redundancy(jb.LinearSystem(**TOLERANT)), good)
