@@ -93,7 +93,9 @@ def chebyshev(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> O
         gaps = linalg.add_multiple(b, -1, linalg.multiply(E, z))
         out = [i for i, gap in enumerate(gaps) if abs(gap) > t * r[i]]
         if not out:
-            return Optimum(t, linalg.primitive(h if any(h) else _some_circuit(E, basis)), tuple(z))
+            if not any(h):
+                h = _some_circuit(E, basis)
+            return Optimum(t, linalg.primitive(h), tuple(z))
         steps += 1
         worst = out[0]  # by number: cannot cycle
         if steps < PATIENCE * len(E[0]):
@@ -116,14 +118,16 @@ def _some_circuit(E: linalg.Rows, basis: Sequence[int]) -> list[Fraction]:
     """Return some circuit, zeros where there is none. basis: independent rows."""
     own, h = list(basis), [Fraction(0)] * len(E)
     for i in range(len(E)):
-        shares = None if i in own else _shares(E, own, i)
-        if shares is not None:
-            h[i] = Fraction(1)
-            for j, x in zip(own, shares, strict=True):
-                h[j] = -x
-            break
-        if i not in own:
+        if i in own:
+            continue
+        shares = _shares(E, own, i)
+        if shares is None:
             own.append(i)
+            continue
+        h[i] = Fraction(1)
+        for j, x in zip(own, shares, strict=True):
+            h[j] = -x
+        break
     return h
 
 
