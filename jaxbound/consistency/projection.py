@@ -18,24 +18,12 @@ from jaxbound.consistency.reading import Block, Reading
 from jaxbound.models.rows import Kind, Row
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.unrolled import stored
-from jaxbound.sets.strips.projection import (
-    Projection,
-    Rows,
-    clipped_margin,
-    projection_of,
-)
+from jaxbound.sets.strips.projection import Projection, Rows, clipped_margin, projection_of
 
-__all__ = [
-    "EasyStretches",
-    "EasyWindows",
-    "Given",
-    "easy_by",
-    "projection",
-    "rows_of",
-]
+__all__ = ["EasyStretches", "EasyWindows", "Given", "easy_by", "projection", "rows_of"]
 
 BLOCK = 4096
-COLUMNS = 64
+ROWS = 64
 """Rows of a window up to which a stretch is settled as a whole: windows of more are gathered as fast."""
 PART = 1024
 """Windows of a stretch that are searched together: their rows stay in the cache."""
@@ -142,18 +130,14 @@ def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ja
     return clipped_margin(given.projection, rows_of(given, u, y))
 
 
-def easy_by(
-    relations: LinearRelations,
-    reading: Reading,
-    dtype: DTypeLike,
-) -> Easy | None:
+def easy_by(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -> Easy | None:
     """Return the tests that settle easy windows by a projection; None where there is none of use."""
     weighted = bool(np.any(reading.tolerance)) or bool(reading.times)
     given = projection(relations, reading, dtype, weighted)
     if given is None:
         return None
     stretches = None
-    if len(given.outer) + len(given.inner) <= COLUMNS:
+    if len(given.outer) + len(given.inner) <= ROWS:
         stretches = EasyStretches(relations, dtype, given, reading)
     return Easy(stretches, EasyWindows(relations, dtype, given, reading))
 

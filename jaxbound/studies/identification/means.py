@@ -7,6 +7,7 @@ bound grows, so each is found by bisection.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -72,20 +73,17 @@ def lowered(
         groups += [[i] for i in range(p)]
     for number, group in enumerate(groups):
 
-        def bounds(logarithm: float, group: list[int] = group) -> np.ndarray:
+        def asked(every: Callable[[np.ndarray], bool], logarithm: float, group: list[int] = group) -> bool:
             trial = share.copy()
             trial[group] = np.exp(logarithm)
-            return np.asarray(trial * noise)
+            return every(trial * noise)
 
-        most = np.log(share[group[0]])
-
-        def found(asked: Callable[[np.ndarray], bool], most: float = most) -> float:
-            return _bisected(lambda x: asked(bounds(x)), np.log(LEAST), most)
-
-        least = found(hard or explained)
-        while hard is not None and least < most and not explained(bounds(least)):
+        ends = np.log(LEAST), np.log(share[group[0]])
+        least = _bisected(partial(asked, hard or explained), *ends)
+        while hard is not None and least < ends[1] and not asked(explained, least):
             # what spoke against them is hard now, but for what floats say otherwise beside others
-            least = found(explained if hard(bounds(least)) else hard)
+            again = explained if asked(hard, least) else hard
+            least = _bisected(partial(asked, again), *ends)
         share[group] = np.exp(least)
         step((number + 1) / len(groups))
     return np.asarray(share * noise)
