@@ -544,11 +544,12 @@ def test_a_device_that_is_chosen_beside_a_cpu_is_asked_for(monkeypatch):
 @pytest.mark.compiled
 @pytest.mark.parametrize("chosen", [None, "cpu"])
 def test_what_numpy_decides_asks_nothing_of_the_compiler(monkeypatch, chosen):
-    monkeypatch.setattr(probe, "broken", lambda *given: "asked for")
+    asked = []
+    monkeypatch.setattr(probe, "broken", lambda *given: asked.append(given) or "asked for")
     relations = jb.parity_relations(jb.LinearSystem([[0.5]], None, [[1]], noise=0.1))
     with jax.default_device(chosen and jax.devices(chosen)[0]):
         jb.compile()
-        assert jb.detect(relations, None, [[1.0], [0.5], [3.0]]).counts["FAULT"] == 1
+        assert jb.detect(relations, None, [[1.0], [0.5], [3.0]]).counts["FAULT"] == 1 and not asked
         jb.compile("always")
         with pytest.raises(probe.Unverified, match="asked for"):
             jb.detect(relations, None, [[1.0], [0.5], [3.0]])
