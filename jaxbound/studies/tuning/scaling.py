@@ -39,6 +39,7 @@ __all__ = [
 FEW = 16  # worst windows that a test of all adds to those searched
 LEAST, MOST = 1e-12, 1e15  # factors looked at
 NEAR_ONE = 0.999999  # of a tolerance
+NEAR = 1e-3  # to the logarithm of the largest factor: closer it is tried itself
 DOUBLE = math.log(2)
 
 
@@ -332,7 +333,10 @@ class _Bracket:
             if self.high == math.inf:
                 if at >= self.limit:
                     return "never"
-                at = min(self.limit, at + min(log_t + DOUBLE, 10 * DOUBLE))
+                room = self.limit - at
+                if room > NEAR:  # at the limit itself, where a tolerance is 1, a test may say nothing
+                    room /= 2
+                at += min(log_t + DOUBLE, 10 * DOUBLE, room)
         while self.low == -math.inf:
             if at < math.log(LEAST):
                 return "nothing"

@@ -286,7 +286,7 @@ SMALL = dict(
 )  # of the sizes that the families of studies compile
 
 
-@pytest.mark.parametrize("plant, s", [(SMALL, 1), long(TOLERANT, 1), long(TOLERANT, 2)])
+@pytest.mark.parametrize("plant, s", [(SMALL, 1), (TOLERANT, 1), long(TOLERANT, 2)])
 def test_constant_tolerance_is_scaled(rng, plant, s):
     free = {**plant, "B": None} if plant is SMALL else plant
     r = relations(dict(free, constant_tolerance=True), s)
