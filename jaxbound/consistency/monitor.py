@@ -36,6 +36,7 @@ from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
 from jaxbound.recordings.table import one_row
 from jaxbound.recordings.tabletime import unlabelled
+from jaxbound.sets.floats.kernel import UNCOUNTED, first_in_numpy, sparing
 from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.text.objects import readable
 
@@ -110,10 +111,11 @@ class Monitor:
             rounded to it; a narrower type is refused, since more was rounded away than the verdicts would
             allow for.
 
-    Bit for bit with strips, and with the exchange search for windows without missing samples; where samples
-    are missing in windows that need the search, margins agree to 1e-9. A sample costs about 0.1 ms, an
-    exchange search 0.5 to 1 ms, over missing samples 3 to 6 ms; constant_tolerance as these; slow,
-    tens of milliseconds: uncertain parameters. The first whole window compiles, and the first burst.
+    Verdicts are those of `detect`, margins agree to 1e-9, those of strips bit for bit. A sample costs about
+    0.1 ms, an exchange search 0.5 to 1 ms, over missing samples 3 to 6 ms; constant_tolerance as these; slow,
+    tens of milliseconds: uncertain parameters. The first whole window compiles, and the first burst. Where
+    windows are searched, NumPy judges the first 512 samples, fewer of a costly search, in some milliseconds
+    each, and XLA compiles behind them; before the first by `jb.compile("always")`.
 
     Raises:
         TypeError: no relations. ValueError: a method or budget that they cannot be tested by;
@@ -263,12 +265,13 @@ class Monitor:
         all_u, all_y, first = own.u, own.y, 0
         if state.follows or count < s:  # else no window of these samples reaches back
             all_u, all_y, first = np.concatenate([state.u, own.u]), np.concatenate([state.y, own.y]), s
-        verdict = self._judged(all_u[:0], Judged(np.zeros(0, np.int8), np.zeros(0, self.dtype)))
-        if count:
-            broken = begun + first  # counted in all samples
-            if state.follows < first:
-                broken = np.concatenate([[s - int(state.follows)], broken])
-            verdict = self._judge(all_u, all_y, broken, first)
+        broken = begun + first  # counted in all samples
+        if state.follows < first:
+            broken = np.concatenate([[s - int(state.follows)], broken])
+        test, early = self._test, 0
+        if test.gathered:  # strips compile in less time than NumPy takes for some dozens
+            early = first_in_numpy(int(state.samples), count, test.weight, test.kind)
+        verdict = self._judge(all_u, all_y, broken, first, first + early)
         follows = self._follows(own, begun, state)
         keep = len(all_y) - s
         u, y = all_u[keep:].copy(), all_y[keep:].copy()
@@ -366,16 +369,25 @@ class Monitor:
         follows = count - begun.max() if len(begun) else count + state.follows
         return int(min(follows, self._test.horizon))
 
-    def _judge(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray, first: int) -> Verdict:
-        """Return the verdicts of all samples from the first on; those before it are known already."""
-        size = None
-        if len(y) - first <= BURST * self._test.short:
-            size = self._test.short
-        judged = windows(self._test, u, y, starts, size=size)
-        return self._judged(u, judged, first)
+    def _judge(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray, first: int, early: int) -> Verdict:
+        """Return the verdicts of all samples from the first on; those before it are known already.
 
-    def _judged(self, u: np.ndarray, judged: Judged, first: int = 0) -> Verdict:
-        """Return the verdicts from a sample on, with how far they lie outside the region of training."""
-        judged, new = placed(judged, self.region, u, self.outside), slice(first, None)
-        departure = judged.departure and judged.departure.cut(new)
-        return Verdict(judged.status[new], judged.margin[new], departure)
+        early: NumPy judges those before it, each by itself: the same bits, however a stream is cut.
+        """
+        with sparing(UNCOUNTED):
+            parts = [self._ending(u, y, starts, end, end + 1) for end in range(first, early)]
+        parts.append(self._ending(u, y, starts, early, len(y)))
+        status, margin = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        judged = placed(Judged(status, margin), self.region, u, self.outside)
+        return Verdict(judged.status, judged.margin, judged.departure)
+
+    def _ending(
+        self, u: np.ndarray, y: np.ndarray, starts: np.ndarray, begin: int, end: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return (status, margin) of the windows that end from one sample to another."""
+        size, low = None, max(begin - self._test.horizon, 0)
+        if end - begin <= BURST * self._test.short:
+            size = self._test.short
+        own = starts[(starts > low) & (starts < end)] - low
+        judged = windows(self._test, u[low:end], y[low:end], own, size=size)
+        return judged.status[begin - low :], judged.margin[begin - low :]

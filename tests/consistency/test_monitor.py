@@ -12,6 +12,7 @@ import jaxbound as jb
 from jaxbound.consistency import exchange, strips
 from jaxbound.consistency.monitor import Monitor, Verdict
 from jaxbound.consistency.strips import StripsTest
+from jaxbound.sets.floats import kernel
 
 
 def recording(rng, model, n, missing=0, dtype=float, spread=1.5):
@@ -178,6 +179,35 @@ def test_windows_that_lack_samples_wait_for_no_compiling(rng):
     _, status, _ = stepped(mon, u[21:], y[21:], state=state)
     assert exchange.candidates._cache_size() == shapes
     assert set(status.tolist()) == {jb.Status.CONSISTENT}
+
+
+@pytest.mark.compiled
+def test_numpy_judges_the_first_searched_windows_whatever_the_pieces(rng, monkeypatch):
+    """No sample waits for a compiler there, and another cut is the same bits; a process that follows many
+    streams compiles.
+    """
+    blocks, search = [], exchange.candidates
+
+    def seen(*args, **kwargs):
+        blocks.append(args)
+        return search(*args, **kwargs)
+
+    kernel.compile()
+    monkeypatch.setattr(kernel, "FIRST", 40)
+    monkeypatch.setattr(exchange, "candidates", seen)
+    r = jb.parity_relations(paper(), 20)
+    u, y = recording(rng, r.model, 50, spread=0.9)
+    y[35:] += 1
+    mon = Monitor(r)
+    state, verdict = mon.run(mon.init(), u[:40], y[:40])
+    assert not blocks
+    status, margin = mon.run(state, u[40:], y[40:])[1][:2]
+    assert len(blocks) == 1
+    together = np.concatenate([verdict.status, status]), np.concatenate([verdict.margin, margin])
+    assert_equal(stepped(mon, u, y), Verdict(*together))
+    assert {jb.Status.CONSISTENT, jb.Status.FAULT} < set(together[0].tolist())
+    early = [kernel.first_in_numpy(0, 50, 1, mon._test.kind) for _ in range(3)]
+    assert early == [40, 40, 0] and kernel.first_in_numpy(38, 50, 1, "another") == 2
 
 
 def test_a_second_step_does_not_compile(rng):

@@ -28,10 +28,12 @@ from jaxbound.sets.floats.numpy_moves import MOVED
 from jaxbound.sets.floats.numpy_primitives import COMPUTED
 
 __all__ = [
+    "UNCOUNTED",
     "WIDE",
     "Kernel",
     "compile",
     "evaluated",
+    "first_in_numpy",
     "is_outside_xla",
     "is_sparing",
     "kernel",
@@ -48,6 +50,11 @@ FEW = 2**13
 """How much of one kind NumPy evaluates before XLA compiles its programs, in windows of a small test."""
 CALL = 2**6
 """What a call counts for at least: NumPy takes as long for one window."""
+FIRST = 2**9
+"""How many windows of a stream NumPy judges, each by itself, before XLA compiles the programs of a search."""
+STREAMS = 4
+"""So many times, for streams that follow each other in a process."""
+UNCOUNTED = "uncounted"
 _mode = os.environ.get("JAXBOUND_COMPILE", AUTO)
 _evaluated: Counter[Hashable] = Counter()
 
@@ -62,9 +69,9 @@ def compile(when: str = AUTO) -> None:
     Args:
         when: "auto": once NumPy took about as long for one kind as compiling takes: behind 8 000 windows of a
             small test, behind some hundred of one that searches among many disturbances. "always": at once.
-            "never". Monitors and all that is written in parts (pipes, Parquet, fleets, studies, fits) compile
-            at once in any case: their bytes are the same however they are cut. So does all that goes to
-            another device than a CPU.
+            "never". Where windows are searched, Monitors, and pipes with them, compile behind their first 512
+            samples, which NumPy judges one by one. All that is written in parts (Parquet, fleets, studies, fits) compiles at once: its
+            bytes are the same however it is cut. So does all that goes to another device than a CPU.
 
     Raises:
         ValueError: another word.
@@ -81,17 +88,18 @@ def compile(when: str = AUTO) -> None:
     _evaluated.clear()
 
 
-def is_sparing() -> bool | None:
-    """Say whether this thread may evaluate few windows in NumPy; None where nobody asked for it."""
+def is_sparing() -> bool | str | None:
+    """Say whether this thread may evaluate few windows in NumPy, as `sparing` was told; None: nobody asked."""
     return getattr(_state, "sparing", None)
 
 
 @contextlib.contextmanager
-def sparing(active: bool | None = True) -> Iterator[None]:
+def sparing(active: bool | str | None = True) -> Iterator[None]:
     """Let few windows be evaluated in NumPy, on this thread, until the block ends.
 
     Args:
-        active: False forbids it to all that is called within; None changes nothing.
+        active: False forbids it to all that is called within; None changes nothing; `UNCOUNTED`: whoever
+            calls counts the windows.
     """
     before = is_sparing()
     if before is not False and active is not None:
@@ -112,8 +120,25 @@ def spared(work: int, kind: Hashable) -> bool:
         raise ValueError(f"JAXBOUND_COMPILE must be auto, always or never, not {_mode!r}")
     if _mode == ALWAYS or not is_sparing() or _platform() != "cpu":
         return False
+    if is_sparing() == UNCOUNTED:
+        return True
     _evaluated[kind] += max(work, CALL)
     return _mode == NEVER or _evaluated[kind] <= FEW
+
+
+def first_in_numpy(samples: int, count: int, weight: int, kind: Hashable) -> int:
+    """Return how many of the next windows of a stream, behind so many samples, are to be judged one by one
+    under `UNCOUNTED`: the same ones, and so the same bytes, however a stream is cut and continued. A process
+    with many streams of a kind compiles in the end. weight: of a window, in those of a small test.
+    """
+    if is_outside_xla() or is_sparing() is False or _mode == ALWAYS:
+        return 0
+    if _mode == NEVER:
+        return count
+    key, few = ("first", kind), FIRST // weight
+    early = max(min(count, few - samples, STREAMS * few - _evaluated[key]), 0)
+    _evaluated[key] += early
+    return early
 
 
 def tried_in_numpy(job: Callable[[], T], work: int, kind: Hashable) -> T | None:
