@@ -176,7 +176,7 @@ def run(bench, seeds):
 
 
 def test_no_healthy_recording_is_faulty_and_none_loses_rows(bench):
-    run(bench, range(63))
+    run(bench, range(27))
 
 
 @pytest.mark.long(by_day="test_no_healthy_recording_is_faulty_and_none_loses_rows")

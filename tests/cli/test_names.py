@@ -20,13 +20,13 @@ def plant(tmp_path_factory):
     path = tmp_path_factory.mktemp("names")
     for seed, name in enumerate(("a.csv", "b.csv", "faulty.csv")):
         rng = np.random.default_rng(seed)
-        u, q = (np.repeat(rng.integers(0, 3, 60), 10).astype(float) for _ in range(2))
-        x = np.zeros(600)
-        for k in range(1, 600):
+        u, q = (np.repeat(rng.integers(0, 3, 30), 8).astype(float) for _ in range(2))
+        x = np.zeros(240)
+        for k in range(1, 240):
             x[k] = 0.8 * x[k - 1] + u[k - 1] + 0.5 * q[k - 1]
-        x += rng.uniform(-0.05, 0.05, 600) + 3 * ((seed == 2) & (np.arange(600) > 400))
-        time = pd.date_range("2024-03-01", periods=600, freq="min")
-        frame = pd.DataFrame({"time": time, VALVE: u, HEATER: q, SUPPLY: x, MODE: (np.arange(600) > 20) * 1})
+        x += rng.uniform(-0.05, 0.05, 240) + 3 * ((seed == 2) & (np.arange(240) > 160))
+        time = pd.date_range("2024-03-01", periods=240, freq="min")
+        frame = pd.DataFrame({"time": time, VALVE: u, HEATER: q, SUPPLY: x, MODE: (np.arange(240) > 20) * 1})
         frame.to_csv(path / name, index=False)
     signals = ["--inputs", f"`{VALVE}`,`{HEATER}`", "--outputs", SUPPLY, "--where", f"`{MODE}` == 1"]
     files = [str(path / "a.csv"), str(path / "b.csv")]

@@ -43,7 +43,7 @@ def test_writes_a_model_under_which_no_healthy_window_is_faulty(plant, capsys):
         tune(
             plant,
             "--steps",
-            "40",
+            "20",
             "--safety",
             "1.2",
             "--plot",
@@ -68,7 +68,7 @@ def test_writes_a_model_under_which_no_healthy_window_is_faulty(plant, capsys):
     assert list(map(float, model.noise)) == pytest.approx(said["bounds"]["noise"]) and model.horizon == 1
     assert (
         model.provenance["noise"]
-        == "fitted to 597 healthy windows, factor 1.1 of what was left out, safety factor 1.2"
+        == "fitted to 597 healthy windows, factor 1.07 of what was left out, safety factor 1.2"
     )
     assert len(said["left_out"]) == 2 and max(said["left_out"]) == said["factor"]
     assert float(model.left_out) == pytest.approx(said["factor"], rel=1e-3)
@@ -95,7 +95,7 @@ def test_prints_scale_safety_and_statement_apart(plant, capsys):
 
 
 def test_interrupted_writes_the_best_and_goes_on(plant, capsys, monkeypatch):
-    options = ("--steps", "30", "--json")
+    options = ("--steps", "20", "--json")
     assert tune(plant, *options) == 0
     whole = json.loads(capsys.readouterr().out)
     (plant / "out.toml").unlink()

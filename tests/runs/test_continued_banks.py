@@ -94,21 +94,22 @@ def part_of(whole, first, stop, known):
 
 
 @pytest.mark.parametrize(
-    ("tests", "more", "each"),
+    ("cases", "tests", "more", "each"),
     [
-        (MIXED, {}, 1),
-        (MODES, {"columns": {"where": "mode != 3"}, "ranges": {"u1": (0, "1.8")}}, 1),
-        (MODES, {"dt": 3, "columns": {"every": "3 s"}}, 3),
+        (1, MIXED, {}, 1),
+        (2, MIXED, {}, 1),
+        (2, MODES, {"columns": {"where": "mode != 3"}, "ranges": {"u1": (0, "1.8")}}, 1),
+        (2, MODES, {"dt": 3, "columns": {"every": "3 s"}}, 3),
     ],
-    ids=["mixed", "where", "every"],
+    ids=["mixed", "mixed, twice", "where", "every"],
 )
-def test_recordings_one_after_the_other_are_judged_as_one(tmp_path, rng, tests, more, each):
+def test_recordings_one_after_the_other_are_judged_as_one(tmp_path, rng, cases, tests, more, each):
     jb.save_model(plant(tests, **more), tmp_path / "plant.toml")
     (tmp_path / "seen.txt").write_text(f"{START + pd.Timedelta(50 * each, 's')}\n")
     rule = jb.AlarmRule(2, 3, latch=True, acknowledged=tmp_path / "seen.txt")
     how = {"margins": "exact", "alarm": rule, "outside": "undecided"}
     faults = seen = 0
-    for case in range(2):
+    for case in range(cases):
         frame = table(rng, each=each)
         _, whole, _, _ = judged(tmp_path, frame, **how)
         cuts = [0, *np.sort(rng.choice(range(12, T - 3, 4), 3, replace=False)), T]

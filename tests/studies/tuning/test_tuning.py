@@ -107,7 +107,7 @@ def test_several_bounds_come_within_2_percent_of_the_program_over_all_of_them(gu
 
 @pytest.mark.parametrize("plant, s", [(TOLERANT, 1), long(dict(BLOWN, tolerance=[0.02, 0.1]), 2)])
 def test_gradient_is_that_of_the_proved_scale(plant, s, rng):
-    u, y = tuning_case.recording(Plant(**plant), 60, rng)
+    u, y = tuning_case.recording(Plant(**plant), 30, rng)
     r = relations(plant, s)
     moved, good = moving(r), joined_recordings(r.model, s, (u, y))
     value = lambda z: np.log(moved.total(np.exp(z))) + np.log(smallest_scale(r, moved, np.exp(z), good)[1])
@@ -136,7 +136,7 @@ def test_faulty_windows_are_left_outside_and_no_healthy_one(rng):
     good, bad = healthy_and_faulty(rng)
     r = relations(dict(BASE, tolerance=[0.05, 0.05], noise=[0.05, 0.5]), 1)  # noise of y2 far too large
     before = jb.tune(r, good, bad, steps=0, safety=1.1)
-    res = jb.tune(r, good, bad, steps=80, calibrate=0, safety=1.1)
+    res = jb.tune(r, good, bad, steps=30, calibrate=0, safety=1.1)
     assert res.counts["FAULT"] == res.counts["UNDECIDED"] == 0 and res.counts["CONSISTENT"] == 2 * 199
     assert res.caught > before.caught + 0.1
     assert sum(jb.detect(res.relations, *x).counts["FAULT"] for x in bad) == res.faulty_counts["FAULT"]
@@ -145,34 +145,34 @@ def test_faulty_windows_are_left_outside_and_no_healthy_one(rng):
 
 def test_windows_across_seams_and_missing_samples_do_not_count(rng):
     plant = Plant(**SEVERAL[0][0])
-    parts = [tuning_case.recording(plant, T, rng, level=3) for T in (150, 80)]
+    parts = [tuning_case.recording(plant, T, rng, level=3) for T in (60, 40)]
     r = relations(SEVERAL[0][0], 1)
     apart = [jb.tune(r, part, steps=0).scale for part in parts]
     whole = tuple(np.concatenate(x) for x in zip(*parts, strict=True))
-    for given in (parts, (*whole, [150])):
+    for given in (parts, (*whole, [60])):
         assert jb.tune(r, given, steps=0).scale == pytest.approx(max(apart), rel=1e-12)
     u, y = whole
     lost = np.where(rng.random(y.shape) < 0.1, np.nan, y)
-    res = jb.tune(r, (u, lost, [150]), steps=40, safety=1.2)
+    res = jb.tune(r, (u, lost, [60]), steps=10, safety=1.2)
     assert res.counts["FAULT"] == res.counts["UNDECIDED"] == 0 < res.counts["CONSISTENT"]
-    assert (jb.detect(res.relations, u, lost, starts=[150]).status != Status.FAULT).all()
+    assert (jb.detect(res.relations, u, lost, starts=[60]).status != Status.FAULT).all()
 
 
 def test_interrupted_and_called_again_gives_the_same(rng, tmp_path):
-    good, _ = healthy_and_faulty(rng, 100)
+    good, _ = healthy_and_faulty(rng, 50)
     r, state = relations(TOLERANT, 1), tmp_path / "state.npz"
 
     def stop(share):
         if share >= 0.3:
             raise KeyboardInterrupt
 
-    whole = jb.tune(r, good, steps=30)
+    whole = jb.tune(r, good, steps=20)
     part = jb.tune(
-        r, good, steps=30, state=state, progress=lambda share: stop(share) if share < 0.9 else None
+        r, good, steps=20, state=state, progress=lambda share: stop(share) if share < 0.9 else None
     )
-    again = jb.tune(r, good, steps=30, state=state)
-    assert part.stopped and 0 < part.steps < 30 and part.counts["FAULT"] == 0
-    assert not again.stopped and again.steps == 30 and len(jb.plot(again).axes) == 3
+    again = jb.tune(r, good, steps=20, state=state)
+    assert part.stopped and 0 < part.steps < 20 and part.counts["FAULT"] == 0
+    assert not again.stopped and again.steps == 20 and len(jb.plot(again).axes) == 3
     for name, bound in whole.smallest.items():
         np.testing.assert_array_equal(bound, again.smallest[name])
     np.testing.assert_array_equal(whole.history["width"], again.history["width"])
@@ -180,9 +180,9 @@ def test_interrupted_and_called_again_gives_the_same(rng, tmp_path):
         ValueError,
         match="state.npz is of another healthy recordings and share held out: choose another place",
     ):
-        jb.tune(r, good[:1], steps=30, state=state)
+        jb.tune(r, good[:1], steps=20, state=state)
     with pytest.raises(ValueError, match="state.npz is of another optimizer: choose another place"):
-        jb.tune(r, good, optimizer=optax.sgd(0.1, momentum=0.9), steps=30, state=state)
+        jb.tune(r, good, optimizer=optax.sgd(0.1, momentum=0.9), steps=20, state=state)
 
 
 @pytest.mark.parametrize(
@@ -223,14 +223,14 @@ def test_the_state_of_another_tuning_is_not_taken_up(change, what, tmp_path, rng
 
 
 def test_any_optimiser_and_no_second_compilation(rng):
-    good, _ = healthy_and_faulty(rng, 100)
+    good, _ = healthy_and_faulty(rng, 50)
     r = relations(dict(BASE, noise=[0.3, 0.02]), 1)
     start = jb.tune(r, good, steps=0, calibrate=0).scale
     own = optax.chain(optax.clip_by_global_norm(1.0), optax.sgd(0.3))
-    res = jb.tune(r, good, optimizer=own, steps=60, calibrate=0)
+    res = jb.tune(r, good, optimizer=own, steps=30, calibrate=0)
     assert res.scale < 0.95 * start
     traced = sum(f._cache_size() for f in (descent._pushed, descent._advance))
-    jb.tune(r, [good[0]], optimizer=own, steps=50, calibrate=0)
+    jb.tune(r, [good[0]], optimizer=own, steps=20, calibrate=0)
     assert sum(f._cache_size() for f in (descent._pushed, descent._advance)) == traced
 
 
@@ -260,8 +260,8 @@ def test_model_file_holds_the_bounds_rounded_up_and_says_where_they_come_from(rn
 
 
 def test_float32_recordings(rng):
-    u, y = (x.astype(np.float32) for x in tuning_case.recording(Plant(**TOLERANT), 100, rng))
-    res = jb.tune(relations(TOLERANT, 1), (u, y), steps=20)
+    u, y = (x.astype(np.float32) for x in tuning_case.recording(Plant(**TOLERANT), 60, rng))
+    res = jb.tune(relations(TOLERANT, 1), (u, y), steps=10)
     assert res.counts["FAULT"] == res.counts["UNDECIDED"] == 0
     wide = jb.tune(relations(TOLERANT, 1), (u.astype(float), y.astype(float)), steps=0)
     narrow = jb.tune(relations(TOLERANT, 1), (u, y), steps=0)
