@@ -126,7 +126,7 @@ def tune():
 
 
 def fit():
-    data = recording(jb.LinearSystem(**HEATER), 1200, healthy=True)
+    data = recording(jb.LinearSystem(**HEATER), 400, healthy=True)
     return lambda: jb.fit([data], dt=1.0, horizon=30)
 
 
