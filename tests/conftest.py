@@ -1,6 +1,7 @@
 """One place for what every test needs: float64, strict promotion, the shared golden values and recordings."""
 
 import contextlib
+import ctypes
 import gc
 import json
 import os
@@ -156,20 +157,26 @@ def as_compiled(monkeypatch):
         monkeypatch.setattr(f"jaxbound.{place}.is_outside_xla", lambda: False)
 
 
-MAPPINGS = 40_000
-"""Of memory, from which on a process lets go of its compiled kernels: Linux allows 65 530, and XLA dies
-where it gets none.
+GROWTH = 2**29
+"""Bytes by which a process may grow until it lets go of its compiled kernels, which the next tests read from
+the disk where they need them again. Linux allows 65 530 mappings, too, and XLA dies where it gets none.
 """
+LARGEST = pytest.StashKey[int]()
 
 
 @pytest.fixture(scope="module", autouse=True)
-def room_for_kernels():
-    """Let go of compiled kernels where the next module might find no memory to map."""
+def room_for_kernels(request):
+    """Let go of compiled kernels where a process became large."""
     yield
-    mappings = Path("/proc/self/maps")
-    if mappings.exists() and mappings.read_bytes().count(b"\n") > MAPPINGS:
+    status, stash = Path("/proc/self/statm"), request.config.stash
+    if not status.exists():
+        return
+    resident = lambda: int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    if resident() > stash.setdefault(LARGEST, GROWTH) + GROWTH:
         jax.clear_caches()
         gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)
+        stash[LARGEST] = resident()
 
 
 @pytest.fixture
