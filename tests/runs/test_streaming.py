@@ -74,6 +74,7 @@ class TestSameVerdicts:
             inside = whole.status == jb.Status.CONSISTENT
             assert (0 < margin[inside]).all() and (margin[inside] <= whole.exact[inside] + 1e-9).all()
 
+    @pytest.mark.long(by_day="test_margins_of_a_monitor_are_those_that_detect_chooses_by_the_number_of_windows")
     def test_exact_margins_of_long_windows_whatever_the_chunks(self, case, small, tmp_path):
         r, folder, whole, _ = case("long windows")
         found = detect_dataset(r, folder, tmp_path / "out", chunk=1100, margins="exact")
@@ -81,8 +82,10 @@ class TestSameVerdicts:
         assert (found.margins, whole.margins) == ("exact", "bounds")
         np.testing.assert_array_equal(status, whole.status)
         np.testing.assert_array_equal(margin, whole.exact)
+
+    def test_margins_of_no_kind_are_refused(self, case, tmp_path):
         with pytest.raises(ValueError, match="margins"):
-            detect_dataset(r, folder, tmp_path / "none", margins="sharp")
+            detect_dataset(*case("section 5")[:2], tmp_path / "none", margins="sharp")
 
     @pytest.mark.parametrize("many, kind", [(N - 20, "bounds"), (N + 1, "exact")])
     def test_margins_of_a_monitor_are_those_that_detect_chooses_by_the_number_of_windows(
