@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from types import MappingProxyType
 from typing import (
@@ -40,6 +40,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.read import recorded
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import SignalModel
+from jaxbound.sets.floats.kernel import tried_in_numpy
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
@@ -94,6 +95,10 @@ GONE = {
 OBSERVER = "observer"
 MONITOR = "monitor"
 """The method of several tests behind one verdict."""
+CLOSE = 1e-9
+"""Margins of an observer below it may change their sign with the last digits of what it carries."""
+TOGETHER = 32
+"""Recordings that NumPy follows side by side in about the time of one."""
 MARGINS = AUTO, BOUNDS, EXACT = "auto", "bounds", "exact"
 """What margins of windows may be, see `detect`; those of a Result are one of the last two."""
 MANY = 2**17
@@ -750,6 +755,7 @@ def refuse_options(method: str, budget: object, adaptive: bool = False) -> None:
 
 
 Carry = TypeVar("Carry")
+Said = TypeVar("Said", bound=Verdicts)
 """What an observer carries from sample to sample: a PyTree of NumPy arrays and numbers."""
 
 
@@ -763,11 +769,14 @@ class Observer(Relations, Generic[Carry]):
         signals: the model whose names the samples are read by; by default `model`.
         batched: whether `fold` takes recordings side by side, (..., T, .), by one carry; else recordings of a
             batch are followed one by one.
+        weight: how many windows of a small test NumPy evaluates in the time of one sample; infinite where
+            samples are compiled at once.
         begun: the carry that it begins with in place of `init`; None: none. See `continued`.
     """
 
     remembers: ClassVar[Literal[True]] = True
     batched: ClassVar[bool] = False
+    weight: float = math.inf
     method: ClassVar[str] = OBSERVER
     begun: Carry | None = None
 
@@ -824,8 +833,19 @@ class Observer(Relations, Generic[Carry]):
         """Return the verdicts of `fold`, followed on the CPU where the device may only search: one wrong set
         would spoil all that come after it.
         """
+        return self.either_way(partial(self.fold, carry, piece), piece)
+
+    def either_way(self, fold: Callable[[], tuple[Carry, Said]], piece: Recording) -> tuple[Carry, Said]:
+        """Return the carry and verdicts that `fold` returns: of few samples from NumPy, see `sparing`, unless
+        one is so near to its bounds that compiled code may say otherwise.
+        """
+        *lead, samples, p = np.shape(piece.y)
+        work = -(-math.prod(lead) // TOGETHER) * samples * self.weight
+        tried = tried_in_numpy(fold, work, (type(self), self.weight, p))
+        if tried is not None and not (np.abs(tried[1].margin) < CLOSE).any():
+            return tried
         with where_proofs_hold():
-            return self.fold(carry, piece)
+            return fold()
 
     def begin(self) -> Carry:
         """Return the carry that the first sample meets: `begun`, or that of `init`."""

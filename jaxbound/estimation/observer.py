@@ -14,6 +14,7 @@ from jaxbound.estimation.observed_plant import ObservedModel, observed_plant
 from jaxbound.estimation.set_observer import Observation, SetObserver, ZonotopeObserver
 from jaxbound.estimation.zonotope_numbers import first_set
 from jaxbound.recordings.table import Data
+from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes.zonotope import Zonotope
@@ -27,7 +28,7 @@ or grow slowly.
 """
 
 
-@where_proofs_hold()
+@where_proofs_hold(compiled=False)
 def observer(
     model: ObservedModel,
     method: str | ObserverMethod = "zonotope",
@@ -108,7 +109,7 @@ def _checked(weight: float | Sequence[float]) -> np.ndarray:
     return weights
 
 
-@where_proofs_hold()
+@where_proofs_hold(compiled=False)
 def observe(
     model: ObservedModel,
     u: Data,
@@ -148,5 +149,6 @@ def observe(
     """
     built = observer(model, method, order, weight, restart, x0, horizon, window)
     watch, recording = built.telling(enclosures=True).recording(u, y, starts)
-    observation: Observation = drive(watch, recording)
+    with sparing():
+        observation: Observation = drive(watch, recording)
     return observation

@@ -27,13 +27,14 @@ from jaxbound.estimation.validation_result import Validation
 from jaxbound.models.multimodel import MultiModel
 from jaxbound.recordings.read import recorded
 from jaxbound.recordings.table import Data
+from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.intervals.interval import Interval
 
 __all__ = ["Validation", "validate"]
 
 
-@where_proofs_hold()
+@where_proofs_hold(compiled=False)
 def validate(
     model: ValidatedModel,
     u: Data,
@@ -90,7 +91,8 @@ def validate(
         return validate_parts(model, u, y, x0, validate_one, starts)
     observer = ValidationObserver(model, horizon, method, x0, correction)
     recording = recorded(observer.signals, u, y, starts, narrow=False)
-    _, found = observer.fold(observer.init(), recording)
+    with sparing():
+        _, found = observer.either_way(partial(observer.fold, observer.init(), recording), recording)
     if not np.isfinite(found.state.lo).any():
         raise ValueError(
             f"no stretch of {observer.horizon + 1} complete samples in a row: choose a shorter horizon, or a "

@@ -85,9 +85,9 @@ class ValidationObserver(Observer[ValidationState]):
         x0: Interval | None = None,
         correction: str = "interval",
     ) -> None:
-        with where_proofs_hold():
+        with where_proofs_hold(compiled=False):
             self.model, self._slide = _prepared(model, horizon, method, correction)
-        self.horizon, self.x0 = self._slide.s, None
+        self.horizon, self.x0, self.weight = self._slide.s, None, self._slide.weight
         if x0 is not None:
             self.x0 = interval(x0)
             if self.x0.shape[-1:] != (self._slide.m.n,):

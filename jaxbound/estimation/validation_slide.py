@@ -26,6 +26,7 @@ from jaxbound.models.multimodel import MultiModel
 from jaxbound.models.sensor import input_slip, largest_error
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
+from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
@@ -75,6 +76,13 @@ class Slide:
     s: int
     method: str
     centre: bool
+
+    @property
+    def weight(self) -> int:
+        """How many windows of a small test NumPy evaluates in the time of one sample."""
+        if self.method == "sequential":
+            return 10
+        return 8 + 3 * ((self.s + 1) * self.m.n) ** 2 // 4  # exchanges, of all unknowns
 
     @cached_property
     def plant(self) -> dict[str, np.ndarray]:
@@ -183,6 +191,8 @@ class Slide:
 
     def _slid(self, samples: _HostSamples, carry: HostCarry, first: int, stop: int) -> Slid[np.ndarray]:
         """Return the arrays of `slide` on the host."""
+        if not is_outside_xla():
+            refuse_unverified()
         M, how = jnp.asarray(ends(self.M)), (self.s, self.method, self.centre)
         out = slide(self.plant, M, self.systems, samples, carry, first, stop, *how)
         arrays: Slid[np.ndarray] = jax.tree.map(np.asarray, out)

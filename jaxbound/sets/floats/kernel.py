@@ -6,17 +6,18 @@ is evaluated primitive by primitive in NumPy (`numpy_primitives`, `numpy_moves`)
 Nothing fuses, no loop is vectorised, no copy is left out.
 
 Compiling takes seconds, evaluating a program for some hundred windows a tenth of one. So whoever judges few
-windows has them `tried_in_numpy` first, which counts work and no seconds: the same calls take the same way
-on every machine. Verdicts do not depend on the way; the last digits of exact margins do.
+windows, or samples, has them `tried_in_numpy` first, which counts work and no seconds: the same calls take
+the same way on every machine. Verdicts do not depend on the way; the last digits of exact margins do.
 """
 
 import contextlib
 import inspect
 import os
 import threading
-from collections import Counter
-from collections.abc import Callable, Hashable, Iterator, Sequence
-from functools import lru_cache, update_wrapper
+from collections import defaultdict, deque
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from functools import lru_cache, partial, update_wrapper
+from operator import itemgetter
 from typing import Any, NamedTuple, TypeVar, overload
 
 import jax
@@ -24,7 +25,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 
 from jaxbound.sets.floats.equations import body, dtype_of
-from jaxbound.sets.floats.numpy_moves import MOVED
+from jaxbound.sets.floats.numpy_moves import MOVED, SMALL
 from jaxbound.sets.floats.numpy_primitives import COMPUTED
 
 __all__ = [
@@ -56,11 +57,11 @@ STREAMS = 4
 """So many times, for streams that follow each other in a process."""
 UNCOUNTED = "uncounted"
 _mode = os.environ.get("JAXBOUND_COMPILE", AUTO)
-_evaluated: Counter[Hashable] = Counter()
+_evaluated: defaultdict[Hashable, float] = defaultdict(float)
 
 
 def compile(when: str = AUTO) -> None:
-    """Say when this process compiles the programs by which `detect` judges windows.
+    """Say when this process compiles the programs by which `detect`, `observe` and `validate` judge.
 
     Others are told by the variable `JAXBOUND_COMPILE`. Verdicts do not depend on it, exact margins by their
     last digits: NumPy evaluates the same programs under the same bounds of rounding. Where bounds of margins
@@ -68,10 +69,11 @@ def compile(when: str = AUTO) -> None:
 
     Args:
         when: "auto": once NumPy took about as long for one kind as compiling takes: behind 8 000 windows of a
-            small test, behind some hundred of one that searches among many disturbances. "always": at once.
-            "never". Where windows are searched, Monitors, and pipes with them, compile behind their first 512
-            samples, which NumPy judges one by one. All that is written in parts (Parquet, fleets, studies, fits) compiles at once: its
-            bytes are the same however it is cut. So does all that goes to another device than a CPU.
+            small test, some hundred of one that searches among many disturbances, 2 000 samples of a small
+            observer. "always": at once. "never". Where windows are searched, Monitors, and pipes with them,
+            compile behind their first 512 samples, which NumPy judges one by one. All that is written in parts
+            (Parquet, fleets, studies, fits) compiles at once: its bytes are the same however it is cut. So does
+            all that goes to another device than a CPU.
 
     Raises:
         ValueError: another word.
@@ -110,7 +112,7 @@ def sparing(active: bool | str | None = True) -> Iterator[None]:
         _state.sparing = before
 
 
-def spared(work: int, kind: Hashable) -> bool:
+def spared(work: float, kind: Hashable) -> bool:
     """Return whether so much more of a kind is evaluated in NumPy, and count it: in windows of a small test.
 
     Raises:
@@ -136,12 +138,12 @@ def first_in_numpy(samples: int, count: int, weight: int, kind: Hashable) -> int
     if _mode == NEVER:
         return count
     key, few = ("first", kind), FIRST // weight
-    early = max(min(count, few - samples, STREAMS * few - _evaluated[key]), 0)
+    early = max(min(count, few - samples, int(STREAMS * few - _evaluated[key])), 0)
     _evaluated[key] += early
     return early
 
 
-def tried_in_numpy(job: Callable[[], T], work: int, kind: Hashable) -> T | None:
+def tried_in_numpy(job: Callable[[], T], work: float, kind: Hashable) -> T | None:
     """Return the result of a job that is worth so many windows of a small test, evaluated in NumPy; None
     where it is to be compiled, or a primitive of it is not written in NumPy.
     """
@@ -270,55 +272,67 @@ def evaluated(program: ClosedJaxpr, args: Sequence[Any]) -> list[np.ndarray]:
     Raises:
         NotImplementedError: a primitive of it is not written in NumPy.
     """
-    steps = _steps(program.jaxpr)
     given = [np.asarray(x, dtype_of(v)) for x, v in zip(args, program.jaxpr.invars, strict=True)]
     with np.errstate(all="ignore"):
-        return steps(*map(np.asarray, program.consts), *given)
+        return _closed(program)()(*given)
 
 
 class _Step(NamedTuple):
-    """One equation. Fields: function; where its inputs are found and its outputs go; numbers that nothing
-    needs afterwards.
+    """One equation. Fields: function; fetched: its inputs, of all numbers; where these are found, and its
+    outputs go; whether it has one output; numbers of large arrays that nothing needs afterwards.
     """
 
     function: Callable
+    fetched: Callable
     inputs: tuple[int, ...]
     outputs: tuple[int, ...]
     single: bool
-    done: tuple[int, ...]
+    done: tuple[int, ...] = ()
 
 
 class _Steps:
-    """A jaxpr as a list of functions of NumPy arrays, calls written out."""
+    """A jaxpr as a list of functions of NumPy arrays: calls are written out, what stands there twice is
+    worked out once, what nobody needs is left out.
 
-    def __init__(self, jaxpr: Jaxpr) -> None:
+    Args:
+        fixed: how many of its inputs stay as they are from one evaluation to the next.
+    """
+
+    def __init__(self, jaxpr: Jaxpr, fixed: int) -> None:
         self._known: list[Any] = []  # by number: literals and constants, and None for what is worked out
-        scope = {v: self._new() for v in (*jaxpr.constvars, *jaxpr.invars)}
-        self._inputs = tuple(scope.values())
+        self._large: set[int] = set()
+        self._places: dict[Hashable, Any] = {}  # of literals, and of the outputs of equations
+        scope: dict[Any, int] = {}
+        inputs = [self._number(v, scope) for v in (*jaxpr.constvars, *jaxpr.invars)]
         steps = self._written_out(jaxpr, scope)
         self._outputs = [self._number(v, scope) for v in jaxpr.outvars]
-        needed = {*self._outputs, *self._inputs}
-        self._steps: list[_Step] = []
+        self._fixed, self._moving = inputs[:fixed], inputs[fixed:]
+        moving, needed = set(self._moving), {*self._outputs, *inputs}
+        for step in steps:
+            if not moving.isdisjoint(step.inputs):
+                moving.update(step.outputs)
+        self._once: deque[_Step] = deque()
+        self._each: deque[_Step] = deque()
         for step in reversed(steps):
+            if needed.isdisjoint(step.outputs):
+                continue
             done = {*step.inputs, *step.outputs} - needed
             needed |= done
-            self._steps.append(step._replace(done=tuple(i for i in done if self._known[i] is None)))
-        self._steps.reverse()
+            part = self._once if moving.isdisjoint(step.outputs) else self._each
+            part.appendleft(step._replace(done=tuple(done & moving & self._large)))
 
-    def __call__(self, *args: np.ndarray) -> list[np.ndarray]:
+    def over(self, *fixed: np.ndarray) -> Callable[..., list[np.ndarray]]:
+        """Return the function of the inputs that are not fixed; what follows from the others alone is worked
+        out here.
+        """
         values = list(self._known)
-        for number, x in zip(self._inputs, args, strict=True):
-            values[number] = x
-        for function, inputs, outputs, single, done in self._steps:
-            out = function(*[values[i] for i in inputs])
-            if single:
-                values[outputs[0]] = out
-            else:
-                for number, x in zip(outputs, out, strict=True):
-                    values[number] = x
-            for number in done:
-                values[number] = None
-        return [values[i] for i in self._outputs]
+        _follow(self._once, values, self._fixed, fixed)
+
+        def run(*args: np.ndarray) -> list[np.ndarray]:
+            _follow(self._each, values, self._moving, args)
+            return [values[i] for i in self._outputs]
+
+        return run
 
     def _new(self, value=None):
         self._known.append(value)
@@ -326,9 +340,12 @@ class _Steps:
 
     def _number(self, v, scope):
         if isinstance(v, Literal):
-            return self._new(np.asarray(v.val, dtype_of(v)))
+            value = np.asarray(v.val, dtype_of(v))
+            return self._places.setdefault((value.tobytes(), value.shape, value.dtype), self._new(value))
         if v not in scope:
             scope[v] = self._new()
+            if v.aval.size > SMALL:
+                self._large.add(scope[v])
         return scope[v]
 
     def _written_out(self, jaxpr, scope):
@@ -340,8 +357,13 @@ class _Steps:
             inputs = tuple(self._number(v, scope) for v in eqn.invars)
             called = body(eqn)
             if called is None:
-                outputs = tuple(self._number(v, scope) for v in eqn.outvars)
-                steps.append(_Step(_function(eqn), inputs, outputs, not eqn.primitive.multiple_results, ()))
+                key = eqn.primitive, inputs, tuple(eqn.params.values())
+                if key in self._places:
+                    scope.update(zip(eqn.outvars, self._places[key], strict=True))
+                    continue
+                self._places[key] = outputs = tuple(self._number(v, scope) for v in eqn.outvars)
+                single = not eqn.primitive.multiple_results
+                steps.append(_Step(_function(eqn), _fetched(inputs), inputs, outputs, single))
                 continue
             inner = dict(
                 zip(called.jaxpr.constvars, (self._new(np.asarray(x)) for x in called.consts), strict=True)
@@ -351,6 +373,28 @@ class _Steps:
             results = [self._number(v, inner) for v in called.jaxpr.outvars]
             scope.update(zip(eqn.outvars, results, strict=True))
         return steps
+
+
+def _fetched(places: tuple[int, ...]) -> Callable:
+    """Return the function that takes a list to the entries at some places."""
+    if len(places) > 1:
+        return itemgetter(*places)
+    return itemgetter(slice(places[0], places[0] + 1) if places else slice(0))
+
+
+def _follow(steps: Iterable[_Step], values: list[Any], places: list[int], args: Sequence[np.ndarray]) -> None:
+    """Put inputs in their places, and work out what follows from them."""
+    for number, x in zip(places, args, strict=True):
+        values[number] = x
+    for function, fetched, _, outputs, single, done in steps:
+        out = function(*fetched(values))
+        if single:
+            values[outputs[0]] = out
+        else:
+            for number, x in zip(outputs, out, strict=True):
+                values[number] = x
+        for number in done:
+            values[number] = None
 
 
 _steps = lru_cache(maxsize=512)(_Steps)
@@ -366,20 +410,20 @@ def _function(eqn: JaxprEqn) -> Callable:
     return PRIMITIVES[name](eqn.params)
 
 
-def _closed(program):
-    """Return a ClosedJaxpr as a function of its arguments."""
-    steps, consts = _steps(program.jaxpr), [np.asarray(x) for x in program.consts]
-    return lambda *args: steps(*consts, *args)
+def _closed(program: ClosedJaxpr, fixed: int = 0) -> Callable[..., Callable[..., list[np.ndarray]]]:
+    """Return the function of the first inputs of a program that returns the function of the others."""
+    steps, consts = _steps(program.jaxpr, len(program.consts) + fixed), list(map(np.asarray, program.consts))
+    return partial(steps.over, *consts)
 
 
 def _while(params):
-    test, step = _closed(params["cond_jaxpr"]), _closed(params["body_jaxpr"])
     asked, moved = params["cond_nconsts"], params["body_nconsts"]
+    test, step = _closed(params["cond_jaxpr"], asked), _closed(params["body_jaxpr"], moved)
 
     def run(*args):
-        constants, own, carry = args[:asked], args[asked : asked + moved], list(args[asked + moved :])
-        while test(*constants, *carry)[0]:
-            carry = step(*own, *carry)
+        going, move, carry = test(*args[:asked]), step(*args[asked : asked + moved]), [*args[asked + moved :]]
+        while going(*carry)[0]:
+            carry = move(*carry)
         return carry
 
     return run
@@ -387,23 +431,22 @@ def _while(params):
 
 def _scan(eqn):
     inner, length, backward = eqn.params["jaxpr"], eqn.params["length"], eqn.params["reverse"]
-    step = _closed(inner)
     # how many constants and carries there are stands in other places from version to version: what is stacked
     # has an axis more
     whole = lambda outside, avals: sum(v.aval.ndim == x.ndim for v, x in zip(outside, avals, strict=True))
     carried = whole(eqn.outvars, inner.out_avals)
     constants = whole(eqn.invars, inner.in_avals) - carried
-    stacked = inner.out_avals[carried:]
+    step, stacked = _closed(inner, constants), inner.out_avals[carried:]
 
     def run(*args):
-        fixed, carry, rows = (
-            args[:constants],
+        move, carry, rows = (
+            step(*args[:constants]),
             list(args[constants : constants + carried]),
             args[constants + carried :],
         )
         outs = [np.empty((length, *x.shape), x.dtype) for x in stacked]
         for k in reversed(range(length)) if backward else range(length):
-            found = step(*fixed, *carry, *(x[k] for x in rows))
+            found = move(*carry, *(x[k] for x in rows))
             carry = found[:carried]
             for out, x in zip(outs, found[carried:], strict=True):
                 out[k] = x
@@ -414,7 +457,7 @@ def _scan(eqn):
 
 def _cond(params):
     branches = [_closed(branch) for branch in params["branches"]]
-    return lambda which, *args: branches[min(max(int(which), 0), len(branches) - 1)](*args)
+    return lambda which, *args: branches[min(max(int(which), 0), len(branches) - 1)]()(*args)
 
 
 PRIMITIVES = {**COMPUTED, **MOVED, "while": _while, "cond": _cond}

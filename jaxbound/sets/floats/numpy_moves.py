@@ -1,29 +1,21 @@
 """The primitives of JAX that move numbers, in NumPy: shapes, parts of arrays, gathers, scatters and sorts."""
 
+import math
+import operator
 from collections.abc import Callable
-from typing import Any
+from functools import partial
 
 import numpy as np
 
-__all__ = ["MOVED"]
+from jaxbound.sets.floats.numpy_primitives import Entries, Function, entering, identity
 
+__all__ = ["MOVED", "SMALL"]
 
-Function = Callable[..., Any]
+SMALL = 2**12
+"""Numbers up to which an array may be copied, or kept longer than it is needed."""
 
-MOVED: dict[str, Callable[[dict], Function]] = {}
-"""{name of a primitive: of the parameters of an equation, the function of arrays that it stands for}."""
-
-
-def _entry(name: str) -> Callable:
-    def register(make):
-        MOVED[name] = make
-        return make
-
-    return register
-
-
-def _identity(x):
-    return x
+MOVED: Entries = {}
+_entry = partial(entering, MOVED)
 
 
 @_entry("iota")
@@ -45,45 +37,35 @@ def _platform(params):
 def _broadcast(params):
     shape, dimensions = params["shape"], params["broadcast_dimensions"]
     if not shape:
-        return _identity
-    in_place = tuple(dimensions) == tuple(range(len(shape)))
+        return identity
+    lined_up = tuple(slice(None) if i in dimensions else None for i in range(len(shape)))
+    small = math.prod(shape) <= SMALL
 
     def broadcast(x):
-        if x.ndim and not in_place:
-            x = x.reshape([x.shape[dimensions.index(i)] if i in dimensions else 1 for i in range(len(shape))])
         if x.shape == shape:
             return x
-        return np.broadcast_to(x, shape)
+        if not small:
+            return np.broadcast_to(x[lined_up], shape)
+        out = np.empty(shape, x.dtype)  # NumPy takes longer to say that it needs no copy
+        out[...] = x[lined_up]
+        return out
 
     return broadcast
 
 
-def _with(function: Function, parameter: str) -> Callable[[dict], Function]:
-    """Return an entry for a function of an array and one parameter."""
-    return lambda params: lambda x: function(x, params[parameter])
+def _with(name: str, parameter: str) -> Callable[[dict], Function]:
+    """Return an entry for a method of arrays that takes one parameter."""
+    return lambda params: operator.methodcaller(name, params[parameter])
 
 
-MOVED["reshape"] = _with(np.reshape, "new_sizes")
-MOVED["squeeze"] = _with(np.squeeze, "dimensions")
-MOVED["expand_dims"] = _with(np.expand_dims, "dimensions")
-MOVED["transpose"] = _with(np.transpose, "permutation")
-MOVED["rev"] = _with(np.flip, "dimensions")
-MOVED["tile"] = _with(np.tile, "reps")
-
-
-@_entry("concatenate")
-def _concatenated(params):
-    return lambda *parts: np.concatenate(parts, params["dimension"])
-
-
-@_entry("stack")
-def _stacked(params):
-    return lambda *parts: np.stack(parts, params["axis"])
-
-
-@_entry("unstack")
-def _unstacked(params):
-    return lambda x: list(np.moveaxis(x, params["axis"], 0))
+MOVED["reshape"] = _with("reshape", "new_sizes")
+MOVED["squeeze"] = _with("squeeze", "dimensions")
+MOVED["transpose"] = _with("transpose", "permutation")
+MOVED["rev"] = lambda params: lambda x: np.flip(x, params["dimensions"])
+MOVED["tile"] = lambda params: lambda x: np.tile(x, params["reps"])
+MOVED["concatenate"] = lambda params: lambda *parts: np.concatenate(parts, params["dimension"])
+MOVED["stack"] = lambda params: lambda *parts: np.stack(parts, params["axis"])
+MOVED["unstack"] = lambda params: lambda x: list(np.moveaxis(x, params["axis"], 0))
 
 
 @_entry("split")
@@ -119,8 +101,11 @@ def _sliced(params):
 
 def _corner(starts, shape, sizes):
     """Return the slices of a part of an array, moved inside where it begins outside."""
-    firsts = [min(max(int(at), 0), n - size) for at, n, size in zip(starts, shape, sizes, strict=True)]
-    return tuple(slice(at, at + size) for at, size in zip(firsts, sizes, strict=True))
+    corner = []
+    for at, n, size in zip(starts, shape, sizes, strict=True):
+        at = 0 if n == size else min(max(int(at), 0), n - size)
+        corner.append(slice(at, at + size))
+    return tuple(corner)
 
 
 @_entry("dynamic_slice")

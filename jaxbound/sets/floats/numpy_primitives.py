@@ -13,22 +13,26 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["COMPUTED"]
+__all__ = ["COMPUTED", "Entries", "Function", "entering", "identity"]
 
 
 Function = Callable[..., Any]
-
-COMPUTED: dict[str, Callable[[dict], Function]] = {}
+Entries = dict[str, Callable[[dict], Function]]
 """{name of a primitive: of the parameters of an equation, the function of arrays that it stands for}."""
+COMPUTED: Entries = {}
 
 
-def _entry(*names: str) -> Callable:
+def entering(table: Entries, name: str) -> Callable:
+    """Return a decorator that enters what makes the functions of a primitive into a table."""
+
     def register(make):
-        for name in names:
-            COMPUTED[name] = make
+        table[name] = make
         return make
 
     return register
+
+
+_entry = partial(entering, COMPUTED)
 
 
 def _plain(**functions: Function) -> None:
@@ -41,7 +45,8 @@ def _ignoring(function, params):
     return function
 
 
-def _identity(x):
+def identity(x: np.ndarray) -> np.ndarray:
+    """Return x."""
     return x
 
 
@@ -50,13 +55,13 @@ def _several(*arrays):
 
 
 def _select(which, *cases):
-    if which.dtype == bool:
+    if which.dtype.kind == "b":
         return np.where(which, cases[1], cases[0])
     return np.choose(which, cases)
 
 
 def _quotient(x, y):
-    if np.issubdtype(x.dtype, np.integer):
+    if x.dtype.kind in "iu":
         return np.asarray(np.trunc(np.true_divide(x, np.where(y == 0, 1, y))), x.dtype)
     return np.divide(x, y)
 
@@ -117,9 +122,9 @@ _plain(
     shift_right_logical=_shifted_right,
     shift_right_arithmetic=np.right_shift,
     population_count=_bits_set,
-    copy=_identity,
-    copy_p=_identity,
-    stop_gradient=_identity,
+    copy=identity,
+    copy_p=identity,
+    stop_gradient=identity,
     optimization_barrier=_several,
     device_put=_several,
 )
@@ -172,18 +177,15 @@ def _converted(params):
 
 
 def _cast(dtype, x):
-    if x.dtype == dtype:
-        return x
-    if (
-        x.dtype.kind == "f" and dtype.kind in "iu"
-    ):  # XLA takes the nearest end where NumPy wraps around; NaN is 0
-        ends = np.iinfo(dtype)
-        inside = np.clip(np.nan_to_num(x, nan=0.0), float(ends.min), float(ends.max))
-        out = inside.astype(np.float64).astype(dtype)
-        return np.where(x >= float(ends.max), ends.max, np.where(x <= float(ends.min), ends.min, out)).astype(
-            dtype
-        )
-    return x.astype(dtype)
+    if x.dtype.kind != "f" or dtype.kind not in "iu":
+        return x.astype(dtype, copy=False)
+    # XLA takes the nearest end where NumPy wraps around; NaN is 0
+    ends = np.iinfo(dtype)
+    least, most = float(ends.min), float(ends.max)
+    if ((least < x) & (x < most)).all():
+        return x.astype(dtype)
+    out = np.clip(np.nan_to_num(x, nan=0.0), least, most).astype(np.float64).astype(dtype)
+    return np.where(x >= most, ends.max, np.where(x <= least, ends.min, out)).astype(dtype)
 
 
 @_entry("bitcast_convert_type")
@@ -198,19 +200,15 @@ def _reduced_precision(params):
         raise NotImplementedError(
             "reduce_precision to other than float32 and float64 is not written in NumPy"
         )
-    return _identity
+    return identity
 
 
-@_entry("argmax")
-def _argmax(params):
-    (axis,) = params["axes"]
-    return lambda x: np.argmax(x, axis).astype(params["index_dtype"])
+def _place(function: Function) -> Callable[[dict], Function]:
+    return lambda params: lambda x: function(x, *params["axes"]).astype(params["index_dtype"])
 
 
-@_entry("argmin")
-def _argmin(params):
-    (axis,) = params["axes"]
-    return lambda x: np.argmin(x, axis).astype(params["index_dtype"])
+COMPUTED["argmax"] = _place(np.argmax)
+COMPUTED["argmin"] = _place(np.argmin)
 
 
 def _reduction(function: Any) -> Callable[[dict], Function]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jaxbound.sets.floats.kernel import is_outside_xla, kernel, outside_xla
+from jaxbound.sets.floats.kernel import PRIMITIVES, is_outside_xla, kernel, outside_xla
 
 pytestmark = pytest.mark.compiled
 
@@ -198,3 +198,29 @@ def test_nothing_goes_to_xla(rng):
     program = kernel(lambda x: lax.fori_loop(0, 3, lambda i, y: jnp.sort(y) + i, x))
     with outside_xla(), jax.transfer_guard("disallow"):
         assert program(rng.normal(size=5)).shape == (5,)
+
+
+def test_what_stays_as_it_is_is_worked_out_once(monkeypatch):
+    """Of loops their constants, too, which an outer loop may change; what nobody needs, never."""
+    seen = []
+    monkeypatch.setitem(PRIMITIVES, "sin", lambda params: lambda x: [np.sin(x), seen.append(float(x))][0])
+
+    @kernel
+    def program(x):
+        def inner(y):
+            jnp.sin(y + 10)
+            return lax.fori_loop(0, 3, lambda k, z: z + jnp.sin(y) * jnp.sin(y), y)
+
+        return lax.scan(lambda y, k: (inner(y) + jnp.sin(x), y), x, np.arange(2.0))
+
+    by_xla = program(2.0)
+    with outside_xla():
+        by_numpy = program(2.0)
+    assert seen == [2.0, 2.0, float(by_xla[1][1])]
+    jax.tree.map(np.testing.assert_allclose, by_numpy, by_xla)
+
+
+def test_zeros_of_both_signs_are_two_numbers():
+    with outside_xla():
+        quotients = kernel(lambda x: (x / 0.0, x / -0.0, x / np.zeros(())))(1.0)
+    assert [float(x) for x in quotients] == [np.inf, -np.inf, np.inf]
