@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from jaxbound.models.simulate import simulate
     from jaxbound.models.system import LinearSystem
     from jaxbound.models.uncertainty import Uncertainty
-    from jaxbound.plots.plot import plot
+    from jaxbound.plots.every import plot
     from jaxbound.recordings.read import read
     from jaxbound.recordings.recording import Recording
     from jaxbound.relations.decoupling import signatures, structured_relations
@@ -149,7 +149,7 @@ _HOMES = {
     "models.simulate": "simulate",
     "models.system": "LinearSystem",
     "models.uncertainty": "Uncertainty",
-    "plots.plot": "plot",
+    "plots.every": "plot",
     "recordings.read": "read",
     "recordings.recording": "Recording",
     "relations.decoupling": "signatures structured_relations",

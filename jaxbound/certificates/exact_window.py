@@ -27,7 +27,7 @@ from jaxbound.certificates.plain import exact_floats, plain_factors, plain_model
 from jaxbound.consistency.interface import Bounds
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev, likely_point
-from jaxbound.exact.linalg import Matrix, Vector, dot
+from jaxbound.exact.linalg import Row, Rows, Vector, Whole, dot
 from jaxbound.models import window
 from jaxbound.models.rows import WindowRows
 from jaxbound.models.system import LinearSystem
@@ -80,7 +80,7 @@ class Bound(NamedTuple):
 
     number: int
     sign: int
-    row: Vector
+    row: Row
     middle: Fraction
     radius: Fraction
 
@@ -118,7 +118,7 @@ class ExactWindow:
     claim: Document
     whole: Samples
     lags: tuple[int, ...] | None = None
-    own: tuple[Matrix, Matrix] | None = None
+    own: tuple[Rows, Rows] | None = None
     unweighed: ClassVar[str] = ""
 
     def with_limits(self, limits: Iterable[Ends | None]) -> Self:
@@ -200,7 +200,7 @@ class ExactWindow:
         proposed = likely_point(rows, middles, radii)
         if proposed is not None and self.explained_by(rounded_witness(self, proposed)):
             return True
-        return self.solve().factor <= 1
+        return chebyshev(rows, middles, radii, enough=ONE).t <= 1
 
     def bounds(self) -> Iterator[Bound]:
         """Yield the bounds of the unknowns by each row that has its samples."""
@@ -210,14 +210,21 @@ class ExactWindow:
                 yield Bound(number, 1, row, (lo + hi) / 2 - self.drive[number], (hi - lo) / 2)
 
     @property
-    def forms(self) -> tuple[Matrix, Matrix]:
+    def forms(self) -> tuple[Rows, Rows]:
         """(E, K): (Y, w) = E z + K U, with z = (first state, disturbances, unknown inputs)."""
         return self.own or _forms(self.model, self.horizon)
 
-    def unknown_columns(self) -> Matrix:
+    def unknown_columns(self) -> Rows:
         """Return E with the columns of the missing inputs, which are unknowns as well, behind it."""
         E, K = self.forms
-        return linalg.beside(E, linalg.columns_of(K, self.missing_inputs))
+        missing = self.missing_inputs
+        if not missing:
+            return E
+        rows = []
+        for both in zip(E, K, strict=True):
+            (row, driven), over = linalg.over_one(both)
+            rows.append(Whole((*row, *(driven[j] for j in missing)), over))
+        return rows
 
     @property
     def constant(self) -> bool:
@@ -229,8 +236,9 @@ class ExactWindow:
     @property
     def missing_inputs(self) -> tuple[int, ...]:
         """The numbers of the inputs that are missing and matter."""
-        K = self.forms[1]
-        return tuple(j for j, v in enumerate(self.u) if v is None and any(row[j] for row in K))
+        missing = [j for j, v in enumerate(self.u) if v is None]
+        K = [linalg.integers(row)[0] for row in self.forms[1]]
+        return tuple(j for j in missing if any(row[j] for row in K))
 
     def action(self, h: Sequence[Fraction]) -> Vector:
         """Return k, what a relation h does with the inputs: h (Y, w) = k U, so k = h K."""
@@ -239,7 +247,9 @@ class ExactWindow:
             if x:  # a relation uses few of all rows
                 weights.append(x)
                 rows.append(row)
-        return linalg.multiply(linalg.transpose(rows), weights) or (ZERO,) * len(self.u)
+        if not rows:
+            return (ZERO,) * len(self.u)
+        return linalg.matmul([weights], rows)[0]
 
     def gain_ends(self, number: int) -> Ends:
         """Return (lo, hi) of 1 / (1 + theta) of a reading whose theta keeps its value, which its limits leave
@@ -390,5 +400,5 @@ def window_of(
 
 
 @lru_cache(maxsize=16)
-def _forms(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
+def _forms(model: LinearSystem, horizon: int) -> tuple[Rows, Rows]:
     return window.unknowns(model, horizon)

@@ -1,7 +1,7 @@
 """The command `jaxbound detect`: a recording against a model, with verdicts, a report and an exit code."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import EXIT_CODES, swift_imports
@@ -168,13 +168,16 @@ def _evaluate_parts(run: "DetectRun") -> "Evaluation":
 def _evaluate_whole(run: "DetectRun") -> "Evaluation":
     """Test a recording that is read as a whole and write its report."""
     from jaxbound.cli.evaluation import FILES_OF_A_WHOLE, FORMER, evaluate
-    from jaxbound.cli.validation import evaluate_validation
     from jaxbound.recordings.parquet import VERDICTS
     from jaxbound.runs.outputs import output_folder
 
     validates = run.options.method == VALIDATION
-    method = evaluate_validation if validates else evaluate
-    stages = ("read", "test", "report") if validates else ("read", "relations", "test", "report")
+    method: Callable[..., Evaluation] = evaluate
+    stages: tuple[str, ...] = ("read", "relations", "test", "report")
+    if validates:
+        from jaxbound.cli.validation import evaluate_validation
+
+        method, stages = evaluate_validation, ("read", "test", "report")
     with door(OSError), output_folder(run.out, FILES_OF_A_WHOLE, (run.model, run.data)) as folder:
         with folder.work() as work, progress_bars(stages) as step:
             evaluation = method(work, step, run)

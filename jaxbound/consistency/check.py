@@ -16,7 +16,6 @@ proves it inconsistent, if |f| <= V in every behaviour. Errors of float64 are th
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import lcm
 from typing import Any, Self
 
 import numpy as np
@@ -25,13 +24,15 @@ from jaxbound.consistency.host_rows import Ends, HostRows, doubles
 from jaxbound.consistency.reading import Reading
 from jaxbound.consistency.strips_on_host import excludes_0
 from jaxbound.exact.frames import ExactFrame
+from jaxbound.exact.linalg import over_one
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 
 __all__ = ["LEAST", "UNIT", "HostImage", "contradicted", "contradicted_by", "explained"]
 
-ALONE = 128
-"""Windows of a product that one thread works out."""
+ALONE = 2**19
+"""Products of numbers that one thread sums up: for more the library starts threads, which wait for each other
+where others are at work, five times as long as they compute."""
 UNIT, LEAST = float(rounding.unit(np.float64)), float(rounding.tiny(np.float64))
 """The unit roundoff of float64, and the smallest normal number."""
 
@@ -89,9 +90,9 @@ class HostImage:
     ) -> Self:
         """Return the rows of windows of a model in whole numbers."""
         rows, c, k = HostRows(reading, u, y, model=model), len(frame.outer), len(frame.inner)
-        scale = lcm(*(x.denominator for M in (frame.R, frame.K) for row in M for x in row))
-        R, K = (np.array([[int(x * scale) for x in row] for row in M], object) for M in (frame.R, frame.K))
-        R, K, order = R.reshape(c, k), K.reshape(c, -1), np.array([*frame.outer, *frame.inner], int)
+        numbers, scale = over_one([*frame.R, *frame.K])
+        R, K = np.array(numbers[:c], object).reshape(c, k), np.array(numbers[c:], object).reshape(c, -1)
+        order = np.array([*frame.outer, *frame.inner], int)
         size, magnitude, floor = (np.zeros((count, y.shape[2])) for count in (k, c, 1))
         left = rows.floor() * (scale + np.abs(R).sum(1, keepdims=True))
         return cls(
@@ -112,8 +113,10 @@ class HostImage:
         there = ~rows.absent()[order]
         lo, hi = (np.where(there, x[order], 0) for x in rows.ends())
         known, slips, missing = rows.known()
-        lost = missing & ((K != 0).T.astype(float) @ there[: len(R)] > 0)
-        off = np.abs(K) @ np.where(missing, 0, slips)
+        lost = missing
+        if missing.any():
+            lost = missing & ((K != 0).T.astype(float) @ there[: len(R)] > 0)
+        off = _times(np.abs(K), np.where(missing, 0, slips))
         known, most = np.where(missing, 0, known), int(lost.sum(0).max(initial=0))
         return {"lo": lo, "hi": hi, "there": there, "known": known, "lost": lost, "most": most, "off": off}
 
@@ -168,7 +171,9 @@ class HostImage:
     def z(self) -> np.ndarray:
         """(c, N): `scale` times what outer rows are beyond those that the middles of inner ones give."""
         c = len(self.R)
-        return np.asarray(self.scale * self.middle[:c] - self.R @ self.middle[c:] - self.K @ self.known)
+        return np.asarray(
+            self.scale * self.middle[:c] - _times(self.R, self.middle[c:]) - _times(self.K, self.known)
+        )
 
     @cached_property
     def slots(self) -> np.ndarray:
@@ -248,10 +253,10 @@ def explained(image: HostImage, x: np.ndarray) -> np.ndarray:
     """
     c, k = image.R.shape
     known, inner = image.known_with(x[k:]), image.middle[c:] + x[:k]
-    values = np.concatenate([image.R @ inner + image.K @ known, inner])
+    values = np.concatenate([_times(image.R, inner) + _times(image.K, known), inner])
     error = np.zeros(values.shape, values.dtype)
     if not image.exact:
-        sizes = np.abs(image.R) @ np.abs(inner) + np.abs(image.K) @ np.abs(known)
+        sizes = _times(np.abs(image.R), np.abs(inner)) + _times(np.abs(image.K), np.abs(known))
         sizes = np.concatenate([image.magnitude + sizes, image.size + np.abs(inner)])
         error = image.gamma * sizes + image.floor * (1 + sizes.sum(0) + np.abs(known).sum(0))
     error[:c] += image.off
@@ -261,10 +266,9 @@ def explained(image: HostImage, x: np.ndarray) -> np.ndarray:
 
 
 def _times(A: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return A x (a, N), some columns at a time: of larger products the library starts threads, which wait
-    for each other where others are at work.
-    """
+    """Return A x (a, N), as many columns at a time as one thread works out: rows of x whole in memory."""
+    x, count = np.ascontiguousarray(x), max(1, ALONE // max(1, A.size))
     out = np.empty((len(A), x.shape[1]), x.dtype)
-    for first in range(0, x.shape[1], ALONE):
-        np.matmul(A, x[:, first : first + ALONE], out=out[:, first : first + ALONE])
+    for first in range(0, x.shape[1], count):
+        np.matmul(A, x[:, first : first + count], out=out[:, first : first + count])
     return out

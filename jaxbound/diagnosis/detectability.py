@@ -458,7 +458,7 @@ def window_shift(
         driven = model.inputs.index(signal)
         for i in rows.seen:
             moved = K[i][driven :: model.m]
-            shift.append(dot(moved, [1] * len(moved)))
+            shift.append(Fraction(sum(moved.numbers), moved.over))
         return shift, widths, [ZERO] * len(widths)
     j = model.outputs.index(signal)
     stretch = 1 / (1 - model.tolerance[j] ** 2)
@@ -509,14 +509,14 @@ def _size(
     best = chebyshev(space, shift, widths)
     if best.t == 0:
         return None
-    f = 1 / best.t
-    if any(spread):
-        f = NEGLIGIBLE / best.t  # larger than any that matters: what no size shows is not seen
+    if not any(spread):
+        return 1 / best.t, over_all_rows(best.h, looked_at, model, s)
+    f = NEGLIGIBLE / best.t  # larger than any that matters: what no size shows is not seen
     first = True
     while True:
         radii = linalg.add_multiple(widths, f, spread)
         best = chebyshev(space, linalg.scale(shift, f), radii)
-        if best.t < 1 or (best.t == 1 and first and any(spread)):
+        if best.t < 1 or (best.t == 1 and first):
             return None
         size = _least(best.h, shift, widths, spread)
         assert size is not None, "a relation that is violated at a size sees that size"

@@ -102,14 +102,18 @@ def unit_hints(result: Judgement) -> list[str]:
         return []
     signals, tries = np.concatenate([result.u, result.y], 1), _tries(relations.model)
     many = _spread(tested, MANY)
-    few = _windows(signals, _spread(many, FEW), relations.horizon, tries)
-    # of a wrong one all of the few are outside, which is more than nearly all leaves room for
+    # of a wrong one all of the first are outside: one more than nearly all leaves room for
     room = (1 - NEARLY_ALL) * len(many)
-    promising = np.flatnonzero(np.count_nonzero(~_consistent(relations, few), axis=1) <= room)
-    share = np.zeros(len(tries))
-    if len(promising):
-        able = [tries[i] for i in promising]
-        share[promising] = _consistent(relations, _windows(signals, many, relations.horizon, able)).mean(1)
+    share, left = np.zeros(len(tries)), np.arange(len(tries))
+    for count in (int(room) + 1, FEW, MANY):
+        able = [tries[i] for i in left]
+        if not able:
+            return []
+        windows = _windows(signals, _spread(many, count), relations.horizon, able)
+        consistent = _consistent(relations, windows)
+        share[left] = consistent.mean(1)
+        left = left[np.count_nonzero(~consistent, axis=1) <= room]
+    few = _windows(signals, _spread(many, FEW), relations.horizon, tries)
     best = _best(relations.model, tries, few, share)
     if best is None:
         return []

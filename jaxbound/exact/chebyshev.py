@@ -14,6 +14,7 @@ begin there, usually to find that z keeps every row. What floats got wrong costs
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from operator import mul
 from typing import NamedTuple
 
 import numpy as np
@@ -41,7 +42,9 @@ class Optimum:
     z: linalg.Vector
 
 
-def chebyshev(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> Optimum:
+def chebyshev(
+    E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction], enough: Fraction | None = None
+) -> Optimum:
     """Solve min over z of max |b_i - E_i z| / r_i exactly.
 
     A reference has one circuit h (h E = 0), t = |h b| / sum |h_i| r_i, and a z at which every error b_i - E_i
@@ -49,7 +52,8 @@ def chebyshev(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> O
     that is the optimum. Else the worst row enters and one leaves, so that t grows.
 
     Args:
-        E (m, N): rows of Fractions, of any rank. b, r (m,): Fractions, r > 0.
+        E (m, N): rows of Fractions, of any rank. b, r (m,): Fractions, r > 0. enough: a factor above which t
+            need not be the least: then it is a lower bound, with its h, and z is empty.
 
     Returns:
         An Optimum. Columns of E that depend on earlier ones get z = 0.
@@ -66,7 +70,7 @@ def chebyshev(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> O
     if not len(b) or min(r) <= 0:
         raise ValueError("a Chebyshev problem needs at least one row, and radii > 0")
     likely, signs = _likely(E, b, r)
-    reduced, pivots = linalg.row_reduce(linalg.transpose([E[i] for i in likely]))
+    reduced, pivots = linalg.row_reduce(_columns([E[i] for i in likely]))
     basis, last = [likely[j] for j in pivots], None
     shares: list[Fraction] = []  # E_last = shares E_basis
     for j in range(len(likely)):
@@ -83,6 +87,8 @@ def chebyshev(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> O
             t = linalg.dot(h, b) / linalg.dot(map(abs, h), r)
             if t < 0:
                 t, h = -t, [-x for x in h]
+        if enough is not None and t > enough:
+            return Optimum(t, linalg.primitive(h), ())
         for i, x in enumerate(h):
             if x:
                 signs[i] = _sign(x)
@@ -90,17 +96,16 @@ def chebyshev(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> O
         # E z = b - t (signs r) on the rows S
         for row, j in zip(*linalg.row_reduce([(*E[i], b[i], signs[i] * r[i]) for i in basis]), strict=True):
             z[j] = row[-2] - t * row[-1]
-        gaps = linalg.add_multiple(b, -1, linalg.multiply(E, z))
-        out = [i for i, gap in enumerate(gaps) if abs(gap) > t * r[i]]
-        if not out:
+        missed = _missed(E, b, r, t, z)
+        if not missed:
             if not any(h):
                 h = _some_circuit(E, basis)
             return Optimum(t, linalg.primitive(h), tuple(z))
         steps += 1
-        worst = out[0]  # by number: cannot cycle
+        worst = min(missed)  # by number: cannot cycle
         if steps < PATIENCE * len(E[0]):
-            worst = max(out, key=lambda i: abs(gaps[i]) / r[i])  # noqa: B023
-        signs[worst] = _sign(gaps[worst])
+            worst = max(missed, key=lambda i: abs(missed[i]))  # noqa: B023
+        signs[worst] = _sign(missed[worst])
         enters = _shares(E, basis, worst)
         if enters is None:
             basis.append(worst)
@@ -112,6 +117,22 @@ def chebyshev(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> O
             continue
         basis[place] = worst
         shares = _shares(E, basis, last) or []  # a basis again, and its rank is that of the one before
+
+
+def _missed(
+    E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction], t: Fraction, z: Sequence[Fraction]
+) -> dict[int, Fraction]:
+    """Return {i: (b_i - E_i z) / r_i} of the rows where that is more than t, in whole numbers."""
+    point, below = linalg.integers(z)
+    missed = {}
+    for i, (row, middle, radius) in enumerate(zip(E, b, r, strict=True)):
+        numbers, over = linalg.integers(row)
+        over *= below
+        gap = middle.numerator * over - middle.denominator * sum(map(mul, numbers, point))
+        gap, over = gap * radius.denominator, over * middle.denominator * radius.numerator
+        if abs(gap) * t.denominator > t.numerator * over:
+            missed[i] = Fraction(gap, over)
+    return missed
 
 
 def _some_circuit(E: linalg.Rows, basis: Sequence[int]) -> list[Fraction]:
@@ -133,10 +154,15 @@ def _some_circuit(E: linalg.Rows, basis: Sequence[int]) -> list[Fraction]:
 
 def _shares(E: linalg.Rows, basis: Sequence[int], i: int) -> list[Fraction] | None:
     """Return row i as a sum of independent rows; None: it is none."""
-    reduced, pivots = linalg.row_reduce(linalg.transpose([E[j] for j in (*basis, i)]))
+    reduced, pivots = linalg.row_reduce(_columns([E[j] for j in (*basis, i)]))
     if len(basis) in pivots:
         return None
     return [row[-1] for row in reduced]
+
+
+def _columns(E: linalg.Rows) -> linalg.Rows:
+    """Return the columns of rows, times one number."""
+    return linalg.transpose(linalg.over_one(E)[0])
 
 
 def _leaving(basis: Sequence[int], speeds: Sequence[Fraction], h: Sequence[Fraction]) -> int | None:
@@ -179,7 +205,7 @@ def likely_point(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -
 def _in_floats(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> "Nearest | None":
     """Return the optimum in floats, None where numbers overflow."""
     try:
-        rows = np.array([[*map(float, row), float(x)] for row, x in zip(E, b, strict=True)])
+        rows = np.array([[*linalg.floats(row), float(x)] for row, x in zip(E, b, strict=True)])
         radii = np.array(list(map(float, r)))
     except OverflowError:
         return None

@@ -11,6 +11,7 @@ from operator import mul
 
 from jaxbound.exact.linalg import (
     Matrix,
+    Rows,
     Vector,
     determinant,
     identity,
@@ -24,7 +25,7 @@ from jaxbound.exact.linalg import (
 __all__ = ["circuits"]
 
 
-def circuits(a: Matrix) -> Matrix:
+def circuits(a: Rows) -> Matrix:
     """Return every vector of minimal support with h a = 0, one of each pair h, -h.
 
     Every circuit lies in some set of rank + 1 rows of full rank, so subsets of that size suffice; or it

@@ -4,22 +4,24 @@ A matrix is a tuple of rows, a row a tuple of Fractions. Costs are those of the 
 window.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
-from itertools import chain, compress, starmap
+from itertools import chain, compress
 from math import gcd, lcm
 from operator import mul, truth
-from typing import TypeAlias, TypeVar, cast
+from typing import Self, TypeAlias, TypeVar, cast, overload
 
 import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
 __all__ = """
-    Matrix MatrixLike Number Row Rows Vector
-    add_multiple beside cancel columns_of determinant dot identity integers inverse left_null_space matmul
-    matrix minimal_span multiply presentable primitive rank rational row_reduce scale transpose zeros
+    Matrix MatrixLike Number Row Rows Vector Whole
+    add_multiple beside cancel columns_of determinant dot echelon floats identity integers inverse
+    left_null_space matmul matrix minimal_span multiply over_one presentable primitive rank rational
+    row_reduce scale transpose zeros
 """.split()
 
 Vector: TypeAlias = tuple[Fraction, ...]
@@ -31,6 +33,46 @@ MatrixLike: TypeAlias = Sequence[Number] | Sequence[Sequence[Number]] | np.ndarr
 Row: TypeAlias = Sequence[Fraction | int]
 Rows: TypeAlias = Sequence[Row]
 T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Whole(Sequence[Fraction]):
+    """A row of fractions in whole numbers: of long ones, fractions take ten times as long to make as to use.
+
+    Fields: numbers; over: what they are divided by, above 0.
+    """
+
+    numbers: tuple[int, ...]
+    over: int
+
+    @classmethod
+    def reduced(cls, numbers: Iterable[int], over: int) -> Self:
+        """Return a row without a common factor. over: any number but 0."""
+        row = tuple(numbers)
+        common = gcd(over, *row)
+        if over < 0:
+            common = -common
+        if common != 1:
+            row = tuple(x // common for x in row)
+        return cls(row, over // common)
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @overload
+    def __getitem__(self, i: int) -> Fraction: ...
+
+    @overload
+    def __getitem__(self, i: slice) -> Self: ...
+
+    def __getitem__(self, i: int | slice) -> Fraction | Self:
+        if isinstance(i, slice):
+            return type(self)(self.numbers[i], self.over)
+        return Fraction(self.numbers[i], self.over)
+
+    def __iter__(self) -> Iterator[Fraction]:
+        return (Fraction(x, self.over) for x in self.numbers)
+
 
 WIDEST_EXPONENT = 400
 """Powers of ten beyond which a decimal is refused: floats end before, and its integers would not."""
@@ -185,13 +227,14 @@ def matmul(a: Rows, b: Rows) -> Matrix:
         raise ValueError(f"a row of {len(a[0])} numbers times a matrix of {len(b)} rows has no meaning")
     if not a:  # the columns of a wide b are long to read
         return ()
-    columns = [integers(c) for c in transpose(b)]
+    rows, over = over_one(b)
+    columns = list(zip(*rows, strict=True))
     product = []
-    for row, p in map(integers, a):
+    for row, under in map(integers, a):
         there = list(map(truth, row))
         some = tuple(compress(row, there))
-        sums = ((sum(map(mul, some, compress(column, there))), p * q) for column, q in columns)
-        product.append(tuple(starmap(Fraction, sums)))
+        sums = (sum(map(mul, some, compress(column, there))) for column in columns)
+        product.append(tuple(Fraction(x, under * over) for x in sums))
     return tuple(product)
 
 
@@ -201,6 +244,14 @@ def row_reduce(a: Rows, progress: Callable[[float], object] | None = None) -> tu
     Args:
         progress: called with the share done.
     """
+    rows, pivots = echelon(a, progress)
+    return tuple(tuple(Fraction(x, row[j]) for x in row) for row, j in zip(rows, pivots, strict=True)), pivots
+
+
+def echelon(
+    a: Rows, progress: Callable[[float], object] | None = None
+) -> tuple[list[Sequence[int]], tuple[int, ...]]:
+    """Return the rows of `row_reduce`, each times its pivot, a whole number; and its pivot columns."""
     # whole numbers, each row divided by its common factor: ten times as fast as fractions
     rows: list[Sequence[int]] = [integers(r)[0] for r in a]
     pivots: list[int] = []
@@ -217,10 +268,7 @@ def row_reduce(a: Rows, progress: Callable[[float], object] | None = None) -> tu
                 rows[i] = cancel(row, rows[top], j)
         if progress is not None:
             progress(((j + 1) / len(rows[0])) ** 2)  # numbers grow
-    reduced = []
-    for row, j in zip(rows, pivots):  # noqa: B905, what has no pivot is a row of zeros
-        reduced.append(tuple(Fraction(x, row[j]) for x in row))
-    return tuple(reduced), tuple(pivots)
+    return rows[: len(pivots)], tuple(pivots)  # what has no pivot is a row of zeros
 
 
 def _width(a: Rows) -> int:
@@ -246,7 +294,7 @@ def cancel(row: Sequence[int], pivot: Sequence[int], j: int) -> Sequence[int]:
 
 def rank(a: Rows) -> int:
     """Return the rank."""
-    return len(row_reduce(a)[1])
+    return len(echelon(a)[1])
 
 
 def left_null_space(a: Rows, progress: Callable[[float], object] | None = None) -> Matrix:
@@ -276,6 +324,16 @@ def _beside_identity(a: Rows) -> Rows:
     return beside(a, identity(len(a)))
 
 
+def over_one(a: Rows) -> tuple[list[tuple[int, ...]], int]:
+    """Return rows in whole numbers, and what all of them are divided by."""
+    rows = list(map(integers, a))
+    common, whole = lcm(*(over for _, over in rows)), []
+    for row, over in rows:
+        factor = common // over
+        whole.append(tuple(factor * x for x in row))
+    return whole, common
+
+
 def integers(row: Row) -> tuple[tuple[int, ...], int]:
     """Return the row as integers and the factor by which it was multiplied.
 
@@ -283,8 +341,20 @@ def integers(row: Row) -> tuple[tuple[int, ...], int]:
         >>> integers([Fraction(1, 2), Fraction(1, 3)])
         ((3, 2), 6)
     """
+    if isinstance(row, Whole):
+        return row.numbers, row.over
     factor = lcm(*(x.denominator for x in row))
     return tuple(x.numerator * (factor // x.denominator) for x in row), factor
+
+
+def floats(row: Row) -> list[float]:
+    """Return the nearest floats.
+
+    Raises OverflowError where there is none.
+    """
+    if isinstance(row, Whole):
+        return [x / row.over for x in row.numbers]
+    return list(map(float, row))
 
 
 def primitive(row: Row) -> Vector:
@@ -316,20 +386,19 @@ def minimal_span(a: Rows, progress: Callable[[float], object] | None = None) -> 
     Args:
         progress: called with the share done.
     """
-    rows = list(row_reduce(a)[0])  # different starts, in order
+    rows = echelon(a)[0]  # different starts, in order
     ends = list(map(_end, rows))
     several = len(rows) - len(set(ends))
     while (clash := _first_clash(ends)) is not None:
         i, k = clash  # row i starts earlier: cancelling its last entry with row k keeps its start
-        end = ends[i]
-        rows[i] = add_multiple(rows[i], -rows[i][end] / rows[k][end], rows[k])
+        rows[i] = cancel(rows[i], rows[k], ends[i])
         ends[i] = _end(rows[i])
         if progress is not None:
             progress(1 - (len(rows) - len(set(ends))) / several)  # an end that is left is k's still
     return tuple(map(primitive, rows))
 
 
-def _end(row: Vector) -> int:
+def _end(row: Row) -> int:
     """Return the number of the last entry of a row that is not zero."""
     return len(row) - 1 - _first(row[::-1])
 

@@ -72,11 +72,11 @@ class WeightedSum:
 
     def size_of(self, number: int) -> Fraction:
         """Return the sum of the magnitudes of the weights of one signal."""
-        total = Fraction(0)
-        for signal, weights in self.parts:
-            if signal == number:
-                total += sum(map(abs, weights))
-        return total
+        return self._sizes.get(number, Fraction(0))
+
+    @cached_property
+    def _sizes(self) -> dict[int, Fraction]:
+        return {signal: sum(map(abs, weights), Fraction(0)) for signal, weights in self.parts}
 
 
 class Term(NamedTuple):

@@ -17,12 +17,13 @@ Source: Adrot, Maquin, Ragot 2000, (3), (10), (12).
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
-from itertools import chain
+from itertools import chain, starmap
+from operator import mul
 
 import numpy as np
 
 from jaxbound.exact import linalg
-from jaxbound.exact.linalg import Matrix, Vector
+from jaxbound.exact.linalg import Matrix, Vector, Whole
 from jaxbound.models.rows import Row, WindowRows
 from jaxbound.models.system import LinearSystem
 
@@ -110,7 +111,7 @@ def disturbance_form(model: LinearSystem, horizon: int) -> Matrix:
 
 
 @lru_cache(maxsize=8)  # a matrix of 61 samples holds some ten thousand fractions
-def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
+def unknowns(model: LinearSystem, horizon: int) -> tuple[tuple[Whole, ...], tuple[Whole, ...]]:
     """Return (E, K): all that bounds speak of in a window, on its unknowns and inputs, for an exact plant.
 
     The rows are the (s+1)p true outputs Y and the gs disturbances w, which count as rows of their own: (Y, w)
@@ -131,17 +132,24 @@ def unknowns(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
 
 
 @lru_cache(maxsize=64)
-def actions(model: LinearSystem, horizon: int, on_states: Vector, on_outputs: Vector) -> Matrix:
+def actions(model: LinearSystem, horizon: int, on_states: Vector, on_outputs: Vector) -> tuple[Whole, ...]:
     """Return the rows of `unknowns` on s + 1 samples of a signal that acts on states and on outputs."""
     drive, direct = (tuple((x,) for x in column) for column in (on_states, on_outputs))
     rows = _toeplitz(_outputs_on_state(model, horizon), drive, direct, horizon + 1)
     return _with_sums(model, horizon, rows + linalg.zeros(model.g * horizon, horizon + 1))
 
 
-def _with_sums(model: LinearSystem, horizon: int, single: Matrix) -> Matrix:
+def _with_sums(model: LinearSystem, horizon: int, single: Matrix) -> tuple[Whole, ...]:
     """Return the rows of single samples with those of bounded sums behind them."""
     rows = window_rows(model, horizon)
-    return single + linalg.matmul([_spread(rows, row) for row in rows.of_sums], single)
+    whole = list(starmap(Whole, map(linalg.integers, single)))
+    numbers, over = linalg.over_one(whole)
+    for row in rows.of_sums:
+        terms = rows.terms(row)
+        weights, under = linalg.integers([term.weight for term in terms])
+        columns = zip(*(numbers[term.row] for term in terms), strict=True)
+        whole.append(Whole(tuple(sum(map(mul, weights, column)) for column in columns), under * over))
+    return tuple(whole)
 
 
 class ParameterForm:

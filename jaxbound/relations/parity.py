@@ -41,7 +41,7 @@ from jaxbound.consistency.strips import StripsTest
 from jaxbound.exact import linalg
 from jaxbound.exact.circuits import circuits
 from jaxbound.exact.frames import ExactFrame, frame
-from jaxbound.exact.linalg import Matrix, Vector
+from jaxbound.exact.linalg import Matrix, Rows, Vector
 from jaxbound.models import window
 from jaxbound.models.arguments import whole_horizon
 from jaxbound.models.conversion import ModelLike, as_model
@@ -346,7 +346,7 @@ def _numbered(entries: Sequence[T], numbers: Sequence[int]) -> tuple[T, ...]:
     return tuple(entries[i] for i in numbers)
 
 
-def _on_inputs(relations: Matrix, on_inputs: Matrix) -> Matrix:
+def _on_inputs(relations: Matrix, on_inputs: Rows) -> Matrix:
     """Return the coefficients of relations on inputs, from those of their rows; () where there are none."""
     if not relations or not on_inputs[0]:
         return ((),) * len(relations)
@@ -388,7 +388,7 @@ def _beside_sums(model: LinearSystem, horizon: int, relations: Matrix) -> Matrix
     return tuple(row + nothing for row in relations)
 
 
-def _few_circuits(E: Matrix, most: int) -> Matrix:
+def _few_circuits(E: Rows, most: int) -> Matrix:
     """Return the circuits of the rows E, or none if they are more than `most`."""
     rank = linalg.rank(E)
     if rank and math.comb(len(E), rank + 1) > SUBSETS:

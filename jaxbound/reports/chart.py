@@ -7,12 +7,11 @@ of it sample by sample: so a page has a size that does not grow with the recordi
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxbound.plots.canvas import to_png
-from jaxbound.plots.plot import plot
 from jaxbound.reports.clock import AxisClock
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.characters import printable
@@ -205,6 +204,6 @@ def coded(values: np.ndarray, kind: str = "<f4") -> str:
         return base64.b64encode(np.asarray(values).astype(kind).tobytes()).decode()
 
 
-def picture_of(thing: object, **options: object) -> bytes:
-    """Return the picture of a result as PNG bytes, as `plot` draws it with these options."""
-    return to_png(cast("Figure", plot(thing, **options)), DPI)
+def picture_of(figure: "Figure") -> bytes:
+    """Return a figure as PNG bytes."""
+    return to_png(figure, DPI)

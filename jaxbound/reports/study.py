@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from jaxbound.plots.study import FAULTS, study_charts
+from jaxbound.plots.study import FAULTS, plot_study, study_charts
 from jaxbound.relations.sentence import looked_at
 from jaxbound.reports.chart import picture_of
 from jaxbound.reports.page import render
@@ -50,7 +50,7 @@ def study_page(res: StudyResult, seed: int, seconds: float) -> str:
         title="What this monitor sees",
         sentence=sentence(res),
         charts=plain(list(map(asdict, study_charts(res)))),
-        picture=picture_of(res),
+        picture=picture_of(plot_study(res)),
         others=max(len(res.trials) - FAULTS, 0),
         head=study_head(res),
         columns=COLUMNS,

@@ -10,6 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxbound.diagnosis.observed import shown_name
+from jaxbound.plots.validation import plot_validation
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
 from jaxbound.reports.chart import ChartPiece, ChartRow, Charts, band_key, picture_of, plain, usual_step
@@ -57,7 +58,7 @@ def write_page(
         stretches=[_row(res, recording, *stretch) for stretch in stretches[:ROWS]],
         stretch_total=len(stretches),
         charts=drawn,
-        picture=picture_of(res.found, time=time, y=res.y),
+        picture=picture_of(plot_validation(res.found, time, res.y)),
         first_fault="" if first is None else recording.label(first),
         others=model.p - len(shown),
         model=model_values(model, {"tolerance": model.tolerance, "noise": model.noise}),

@@ -488,10 +488,10 @@ from jaxbound.sets.floats.kernel import outside_xla
 main._configure = lambda: None
 numpy = outside_xla()  # nothing is compiled, and what is imported is the same
 numpy.__enter__()
+main.main("detect model.toml faulty.csv --out out -q".split())
+print(*sys.modules, file=sys.stderr)
 fit = "fit good.csv --inputs u1 --outputs y1,y2 --order 1 --horizon 2 --held-out 0 --method windows"
 main.main(f"{fit} --out fitted.toml -q".split())
-print(*sys.modules, file=sys.stderr)
-main.main("detect model.toml faulty.csv --out out -q".split())
 print(*sys.modules, file=sys.stderr)
 main.main("study model.toml --faults y1:bias --sizes 1 --n 20 --samples 20 --out study -q".split())
 print(*sys.modules, file=sys.stderr)
@@ -500,11 +500,11 @@ print(*sys.modules, file=sys.stderr)
         done = subprocess.run(
             [sys.executable, "-c", code], cwd=place, env=settings, capture_output=True, text=True, timeout=300
         )
-        *_, fit, detect, study = (
-            {name.partition(".")[0] for name in line.split()} for line in done.stderr.splitlines()
-        )
+        lines = [line.split() for line in done.stderr.splitlines()][-3:]
+        detect, fit, study = ({name.partition(".")[0] for name in line} for line in lines)
         assert fit.isdisjoint({"pandas", "matplotlib", "scipy", "optax"})
         assert detect.isdisjoint({"pandas", "matplotlib", "scipy", "optax"})
+        assert "jaxbound.runs" in lines[0] and "jaxbound.studies" not in lines[0]
         assert study.isdisjoint({"pandas", "optax"})
         assert all(
             (place / name).exists() for name in ("out/report.html", "fitted.toml", "study/report.html")

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 import jaxbound as jb
-from jaxbound.consistency import exchange, holes
+from jaxbound.consistency import check, exchange, holes
 from jaxbound.sets.floats.status import Status
 
 A, B, C = [["0.9", "0.2"], ["-0.3", "0.8"]], [["0.2", "0.1"], ["0.5", "-0.4"]], [[1, 0], ["0.5", 1]]
@@ -174,3 +174,21 @@ def test_a_coefficient_that_floats_cannot_hold_proves_nothing():
     y = np.full((21, 2), np.nan)
     y[5:8, 0] = 1, 0, 0
     assert jb.detect(relations, None, y).status[-1] != Status.FAULT
+
+
+@pytest.mark.parametrize("kind", [float, object])
+def test_a_product_of_the_check_is_worked_out_by_one_thread(kind, rng, monkeypatch):
+    def counted(A, x, out):
+        assert x.shape[1] == 1 or A.size * x.shape[1] <= 100, "the library starts threads for more"
+        assert x.strides[1] == x.itemsize or x.size < 2, "and for rows that lie apart sooner"
+        return matmul(A, x, out=out)
+
+    matmul = np.matmul
+    monkeypatch.setattr(check, "ALONE", 100)
+    monkeypatch.setattr(np, "matmul", counted)
+    for shape, columns in (((6, 5), 20), ((20, 7), 3), ((0, 4), 5), ((4, 0), 5)):
+        A, x = (
+            rng.integers(-9, 9, shape).astype(kind),
+            rng.integers(-9, 9, (columns, shape[1])).astype(kind).T,
+        )
+        np.testing.assert_array_equal(check._times(A, x), A @ x)

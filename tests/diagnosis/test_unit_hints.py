@@ -78,7 +78,7 @@ def test_a_wrong_conversion_costs_a_few_windows(relations, rng, monkeypatch):
     monkeypatch.setattr(units, "drive", counting)
     tries = len(units._tries(relations.model))
     assert units.unit_hints(result) == []
-    assert tested[0] == tries * units.FEW
+    assert tested[0] == tries * 8  # one more than 5 % of 140
     assert sum(tested[1:]) <= 2 * units.MANY  # dead outputs alone explain the rest
 
 

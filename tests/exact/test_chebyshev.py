@@ -171,3 +171,18 @@ def test_there_is_a_circuit_wherever_rows_depend_on_each_other():
         assert best.t == 0 and any(best.h)
         assert not any(sum(x * row[j] for x, row in zip(best.h, E, strict=True)) for j in range(len(E[0])))
     assert not any(chebyshev([[one, 0], [0, one]], [one, one], [one, one]).h)
+
+
+def test_a_factor_that_is_enough_is_proved_by_the_first_circuit_above_it(rng, monkeypatch):
+    monkeypatch.setattr(module, "_in_floats", lambda *about: None)  # which finds the last one at once
+    dot, stopped = lambda x, y: sum((p * q for p, q in zip(x, y, strict=True)), Fraction(0)), 0
+    for _ in range(5):
+        E, b, r = draw(rng, 30, 4)
+        best = chebyshev(E, b, r)
+        early = chebyshev(E, b, r, enough=best.t / 2)
+        assert best.t / 2 < early.t <= best.t and early.z == ()
+        assert not any(dot(early.h, column) for column in zip(*E, strict=True))
+        assert abs(dot(early.h, b)) == early.t * dot(map(abs, early.h), r)
+        assert chebyshev(E, b, r, enough=best.t) == best
+        stopped += early.t < best.t
+    assert stopped

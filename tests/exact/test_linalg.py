@@ -342,3 +342,10 @@ def test_products_and_multiples_are_those_of_fractions(rng):
 def test_a_decimal_far_outside_the_floats_is_refused(x):
     with pytest.raises(ValueError, match="is not a finite number"):
         linalg.rational(x)
+
+
+def test_a_row_in_whole_numbers_is_the_row_of_its_fractions():
+    row, third = linalg.Whole.reduced([2, -4, 0], -6), Fraction(1, 3)
+    assert list(row) == [-third, 2 * third, 0] and row[1] == 2 * third and list(row[1:]) == [2 * third, 0]
+    assert linalg.integers(row) == ((-1, 2, 0), 3)
+    assert linalg.over_one([row, [Fraction(1, 2)]]) == ([(-2, 4, 0), (3,)], 6)

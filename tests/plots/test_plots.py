@@ -11,8 +11,8 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.plots.canvas import to_png
+from jaxbound.plots.every import plot
 from jaxbound.plots.figures import figure_1, figure_2
-from jaxbound.plots.plot import plot
 from jaxbound.reports.parts import distinct_relations
 
 

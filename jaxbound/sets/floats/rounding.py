@@ -29,6 +29,7 @@ for the compiler without a look, NaN or not.
 wrote.
 """
 
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
 from typing import Any, TypeAlias, cast
@@ -38,6 +39,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 
+from jaxbound.exact.linalg import Whole
 from jaxbound.sets.floats.kinds import extra_units
 
 __all__ = [
@@ -295,20 +297,23 @@ def fraction_to_float(value: Fraction | float, dtype: DTypeLike = np.float64) ->
     return out
 
 
-def nearest_normals(values: list, dtype: DTypeLike = np.float64) -> np.ndarray:
-    """Round exact rationals to the nearest floats, one below the normal range to the smallest normal number
+def nearest_normals(values: Sequence[Whole], dtype: DTypeLike = np.float64) -> np.ndarray:
+    """Round rows of rationals to the nearest floats, one below the normal range to the smallest normal number
     of its sign: never to 0.
     """
-    out = np.array([_nearest(x) for x in values], np.float64).astype(dtype)
+    out = np.array([_nearest(x, row.over) for row in values for x in row.numbers], np.float64).astype(dtype)
+    numbers = [x for row in values for x in row.numbers]
     for i in np.flatnonzero(abs(out) < tiny(dtype)).tolist():
-        out[i] = ((values[i] > 0) - (values[i] < 0)) * tiny(dtype)
+        out[i] = ((numbers[i] > 0) - (numbers[i] < 0)) * tiny(dtype)
     return out
 
 
-def _nearest(value):
-    """Return the nearest Python float of any number or numeral; infinity where it overflows."""
+def _nearest(value, over=None):
+    """Return the nearest Python float of any number or numeral, or of an integer over one; infinity where it
+    overflows.
+    """
     try:
-        return float(value)
+        return float(value) if over is None else value / over
     except OverflowError:
         return np.inf if value > 0 else -np.inf
 

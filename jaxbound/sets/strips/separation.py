@@ -73,10 +73,7 @@ class Frame:
 def frame_of(exact_frame: ExactFrame, dtype: DTypeLike) -> Frame:
     """Round an `ExactFrame`."""
     c, k = len(exact_frame.outer), len(exact_frame.inner)
-    R, K = (
-        rounding.nearest_normals([x for row in rows for x in row], dtype).reshape(c, -1)
-        for rows in (exact_frame.R, exact_frame.K)
-    )
+    R, K = (rounding.nearest_normals(rows, dtype).reshape(c, -1) for rows in (exact_frame.R, exact_frame.K))
     return Frame(
         R.reshape(c, k), K, np.array(exact_frame.inner, np.int32), np.array(exact_frame.outer, np.int32)
     )

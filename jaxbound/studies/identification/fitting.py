@@ -43,7 +43,7 @@ from jaxbound.text.progress import in_part, reporter
 __all__ = ["fit"]
 
 
-@where_proofs_hold()
+@where_proofs_hold(compiled=False)
 @sparing(False)
 def fit(
     recordings: object,

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxbound.models.average import Average
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.strips.chebyshev import fitted
 from jaxbound.studies.identification.judging import Judge, Sizes
@@ -112,13 +113,17 @@ class Gauge(NamedTuple):
         return first[:0]
 
 
-def gauge_of(model: LinearSystem) -> Gauge:
-    """Return the Gauge of the windows of a model: its horizon or lags, noise and averages of outputs."""
+def gauge_of(model: LinearSystem, averages: Sequence[Average] | None = None) -> Gauge:
+    """Return the Gauge of the windows of a model: its horizon or lags, noise and averages of outputs, or
+    other averages in their place.
+    """
     assert model.horizon is not None, "a model that is fitted for windows has one"
     horizon, seen = model.horizon, list(range(model.horizon + 1))
     if model.lags is not None:
         seen = [horizon - lag for lag in reversed(model.lags)]
-    over = _over_bounds(model, horizon + 1, seen)
+    if averages is None:
+        averages = model.averages
+    over = _over_bounds(model, averages, horizon + 1, seen)
     A, _, C, _ = _matrices(model)
     blocks = [np.array(C, float)]
     for _ in range(horizon):
@@ -138,7 +143,9 @@ def _matrices(model: LinearSystem) -> list[np.ndarray]:
     return [np.array(x, float).reshape(shape) for x, shape in zip(given, shapes, strict=True)]
 
 
-def _over_bounds(model: LinearSystem, count: int, seen: Sequence[int]) -> np.ndarray:
+def _over_bounds(
+    model: LinearSystem, averages: Sequence[Average], count: int, seen: Sequence[int]
+) -> np.ndarray:
     """Return the rows of windows: each error that is looked at over its bound, and each run of an average."""
     p = model.p
     bounds = [float(noise + rounded) for noise, rounded in zip(model.noise, model.resolution, strict=True)]
@@ -146,13 +153,13 @@ def _over_bounds(model: LinearSystem, count: int, seen: Sequence[int]) -> np.nda
     for number, sample in enumerate(seen):
         single[number, :, sample] = np.diag(1 / np.array(bounds))
     rows = [single.reshape(-1, count * p)]
-    for average in model.averages:
+    for average in averages:
         _, i = average.place(model.outputs)
         weights = np.array([float(x) for x in average.weights])
         bound = float(average.bound) + float(model.resolution[i]) * np.abs(weights).sum()
         runs = np.zeros((count - len(weights) + 1, count, p))
-        for first, run in enumerate(runs):
-            run[first : first + len(weights), i] = weights / bound
+        first = np.arange(len(runs))[:, None]
+        runs[first, first + np.arange(len(weights)), i] = weights / bound
         rows.append(runs.reshape(len(runs), -1))
     return np.concatenate(rows)
 

@@ -81,21 +81,22 @@ def lowered(
         ends = np.log(LEAST), np.log(share[group[0]])
         least = _bisected(partial(asked, hard or explained), *ends)
         while hard is not None and least < ends[1] and not asked(explained, least):
-            # what spoke against them is hard now, but for what floats say otherwise beside others
-            again = explained if asked(hard, least) else hard
-            least = _bisected(partial(asked, again), *ends)
+            # what spoke against them is hard now; what was refused is so beside more windows
+            least = _bisected(partial(asked, hard), *ends, refused=least)
         share[group] = np.exp(least)
         step((number + 1) / len(groups))
     return np.asarray(share * noise)
 
 
-def _bisected(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """Return the least number within [low, high] that holds, as near as STEPS halvings come."""
+def _bisected(holds: Callable[[float], bool], low: float, high: float, refused: float = -np.inf) -> float:
+    """Return the least number within [low, high] that holds, as near as STEPS halvings come; none up to
+    `refused` does.
+    """
     if low >= high:
         return high
     for _ in range(STEPS):
         middle = (low + high) / 2
-        if holds(middle):
+        if middle > refused and holds(middle):
             high = middle
         else:
             low = middle

@@ -8,13 +8,14 @@ are as long share their fits; floats (`gauge`) choose, and the test that is take
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxbound.diagnosis.memory import spread_lags
-from jaxbound.models.system import LinearSystem
+from jaxbound.models.average import Average
 from jaxbound.studies.identification.candidates import FitProblem
 from jaxbound.studies.identification.gauge import GaugeJudge, gauge_of, seen_slopes
 from jaxbound.studies.identification.means import LOOSE, lowered
@@ -189,7 +190,9 @@ def searched_means(problem: FitProblem, trial: Trial) -> np.ndarray:
     hard = [first[:0] for first in firsts]  # windows that spoke against bounds before do so again, mostly
 
     def all_explained(bounds: np.ndarray, those: Sequence[np.ndarray]) -> bool:
-        gauge = gauge_of(_averaged(model, samples, bounds))
+        weights = (Fraction(1, samples),) * samples
+        means = [Average(name, weights, Fraction(x)) for name, x in zip(model.outputs, bounds, strict=True)]
+        gauge = gauge_of(model, means)
         for number, (record, first) in enumerate(zip(records, those, strict=True)):
             against = gauge.unexplained(record, first)
             if len(against):
@@ -204,9 +207,3 @@ def searched_means(problem: FitProblem, trial: Trial) -> np.ndarray:
         return all_explained(bounds, hard)
 
     return lowered(trial.bound * LOOSE, explained, reporter(None), hard_ones)
-
-
-def _averaged(model: LinearSystem, samples: int, bounds: np.ndarray) -> LinearSystem:
-    """Return a model with bounds (p,) on the means of so many errors in a row."""
-    means = {name: {samples: x} for name, x in zip(model.outputs, bounds.tolist(), strict=True)}
-    return model.replace(averages=means)

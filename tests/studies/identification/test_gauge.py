@@ -43,6 +43,16 @@ def test_a_window_that_speaks_against_bounds_is_found(rng):
     assert narrow.unexplained(record, first).tolist() == [np.nanargmax(needs) - 7]
 
 
+def test_other_averages_count_as_if_they_were_the_model_s():
+    model = jb.LinearSystem(A, B, C, D, noise=NOISE.tolist(), horizon=7, averages={"y1": {2: 0.5}})
+    other = model.replace(averages={"y1": {3: 0.07}, "y2": [([1, -2, 4], 0.2)]})
+    gauge, expected = gauge_of(model, other.averages), gauge_of(other)
+    np.testing.assert_array_equal(gauge.over, expected.over)
+    np.testing.assert_array_equal(gauge.free, expected.free)
+    for j in range(6):
+        np.testing.assert_allclose(gauge.over[22 + j].reshape(8, 2)[j : j + 3, 1], [5, -10, 20])
+
+
 def test_what_the_first_state_explains_needs_nothing():
     free = np.eye(3)[:, :2]
     np.testing.assert_array_equal(best_approximations(np.array([[3.0, -1, 0], [0, 0, -2]]), free), [0, 2])
