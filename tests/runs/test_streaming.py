@@ -74,7 +74,9 @@ class TestSameVerdicts:
             inside = whole.status == jb.Status.CONSISTENT
             assert (0 < margin[inside]).all() and (margin[inside] <= whole.exact[inside] + 1e-9).all()
 
-    @pytest.mark.long(by_day="test_margins_of_a_monitor_are_those_that_detect_chooses_by_the_number_of_windows")
+    @pytest.mark.long(
+        by_day="test_margins_of_a_monitor_are_those_that_detect_chooses_by_the_number_of_windows"
+    )
     def test_exact_margins_of_long_windows_whatever_the_chunks(self, case, small, tmp_path):
         r, folder, whole, _ = case("long windows")
         found = detect_dataset(r, folder, tmp_path / "out", chunk=1100, margins="exact")
