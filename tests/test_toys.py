@@ -17,7 +17,8 @@ import jaxbound as jb
 from jaxbound.cli.main import main
 from jaxbound.consistency.interface import FAMILIES, family
 from jaxbound.recordings import source as sources
-from jaxbound.runs.fleet import detect_fleet, read_manifest
+from jaxbound.runs.ask import Ask
+from jaxbound.runs.fleet import FleetTest, detect_fleet, read_manifest
 
 TOYS = {"steps": Steps, "spread": Spread}
 
@@ -191,7 +192,7 @@ def test_the_shell_refuses_to_explain_in_a_sentence(method, folder):
 def test_a_fleet(method, folder, data):
     rows = f"unit,model,recording\none,model.toml,{data}\ntwo,model.toml,{data}\n"
     (folder / "fleet.csv").write_text(rows)
-    found = list(detect_fleet(read_manifest(folder / "fleet.csv"), method=method))
+    found = list(detect_fleet(read_manifest(folder / "fleet.csv"), FleetTest(Ask(method))))
     assert [unit.verdict for unit in found] == ["fault", "fault"]
 
 
@@ -199,10 +200,11 @@ def test_a_fleet_goes_on(method, folder):
     rows = "unit,model,recording\none,model.toml,run.csv\ntwo,model.toml,run.csv\n"
     (folder / "fleet.csv").write_text(rows)
     units = read_manifest(folder / "fleet.csv")
-    first, again = (list(detect_fleet(units, method=method, state=folder / "state")) for _ in range(2))
+    how = FleetTest(Ask(method), state=folder / "state")
+    first, again = (list(detect_fleet(units, how)) for _ in range(2))
     healthy = "".join(f"{t},0\n" for t in range(60, 80))
     (folder / "run.csv").write_text("time,y1\n" + healthy)
-    after = list(detect_fleet(units, method=method, state=folder / "state"))
+    after = list(detect_fleet(units, how))
     assert [unit.verdict for unit in (*first, *again)] == ["fault"] * 4
     counts = [unit.summary.counts for unit in after]
     assert counts[0] == counts[1] and sum(counts[0].values()) == 20 + 1

@@ -1,8 +1,8 @@
 """Counts of right and wrong alarms on the terminal, as JSON and as files."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,23 +37,22 @@ class AssessmentConclusion(Conclusion):
         """Return the scores of all detectors."""
         return [HEAD, *_table(self.named)]
 
-    def rows(self) -> list[Row]:
-        """Return the outcome of each recording, and what factors are on."""
+    def rows(self) -> Iterator[Row]:
+        """Yield the outcome of each recording, and what factors are on."""
         first = _first(self.named)
         windows = f"{first.score.healthy} healthy, {first.score.faulty} faulty, tested {_test(first)}"
-        rows = [("windows", windows)]
+        yield "windows", windows
         for model, one in self.named.items():
             of_model = ""
             if len(self.named) > 1:
                 of_model = f"{model}: "
             for case in one.cases:
-                rows.append((f"{of_model}{case.name}", _case_text(case)))
+                yield f"{of_model}{case.name}", _case_text(case)
             if one.named:
-                rows.append((f"{of_model}isolation", _isolation(one)))
-        rows.append(("factors", f"on all bounds; {first.marks.note}"))
+                yield f"{of_model}isolation", _isolation(one)
+        yield "factors", f"on all bounds; {first.marks.note}"
         for peer in first.peers:
-            rows.append((peer.name, f"{peer.note}; factors are on its threshold"))
-        return rows
+            yield peer.name, f"{peer.note}; factors are on its threshold"
 
     def plain(self) -> dict[str, Any]:
         """Return the counts of all models and detectors."""
@@ -88,15 +87,11 @@ def write_assessment(work: Path, named: Named, plain: dict[str, Any]) -> None:
 
 def _together(named: Named) -> Assessment:
     """Return one Assessment with the curves of all models."""
-    first, *others = named.values()
-    names = list(named)
-    beside = []
-    for name, other in zip(names[1:], others, strict=True):
-        beside.append(Marks(name, other.marks.note, other.marks.scores, other.marks.curve))
-    if not beside:
+    first = _first(named)
+    if len(named) == 1:
         return first
-    own = Marks(names[0], first.marks.note, first.marks.scores, first.marks.curve)
-    return Assessment(own, first.cases, first.rules, (*beside, *first.peers), first.relations)
+    own, *beside = [replace(one.marks, name=name) for name, one in named.items()]
+    return replace(first, marks=own, peers=(*beside, *first.peers))
 
 
 def _all_marks(named: Named) -> list[tuple[str, Marks]]:
@@ -132,9 +127,8 @@ def _test(one: Assessment) -> str:
     return f"in windows of {relations.horizon + 1} samples"
 
 
-def _table(named: Named) -> list[tuple[str, ...]]:
-    """Return the rows of the table: all factors by the first rule, other rules at factor 1."""
-    rows = []
+def _table(named: Named) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table: all factors by the first rule, other rules at factor 1."""
     first = _first(named)
     for model, marks in _all_marks(named):
         for score in marks.scores:
@@ -144,8 +138,7 @@ def _table(named: Named) -> list[tuple[str, ...]]:
                 title = marks.name
                 if is_model and len(named) > 1:
                     title = model
-                rows.append((title, *_cells(score)))
-    return rows
+                yield title, *_cells(score)
 
 
 def _cells(score: Score) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """A certificate as a reader wants it: a headline, named rows, and a table of the samples."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from itertools import chain
 from typing import Any, TypeAlias
@@ -32,11 +32,11 @@ def certificate_text(
         outgrown: its bounds were found from data for shorter windows, so that a FAULT proves no fault.
     """
     if isinstance(certificate, UncertainCertificate):
-        rows = _uncertain_rows(certificate)
+        rows = list(_uncertain_rows(certificate))
     elif certificate.proves == Status.FAULT:
-        rows = _fault_rows(certificate)
+        rows = list(_fault_rows(certificate))
     else:
-        rows = _consistent_rows(certificate)
+        rows = list(_consistent_rows(certificate))
     if outgrown:
         rows.append(("bounds", OUTGROWN))
     return _headline(certificate, k, labels, outgrown), rows, _sample_table(certificate, labels)
@@ -52,22 +52,19 @@ def _headline(certificate: AnyCertificate, k: int, labels: Sequence[str], outgro
     return f"{verdict}: the window from {labels[0]} to {labels[-1]}, sample {k}{status}"
 
 
-def _fault_rows(certificate: Certificate) -> list[Row]:
-    """Return the relation that is violated, and the sensors and actuators that alone would explain it."""
+def _fault_rows(certificate: Certificate) -> Iterator[Row]:
+    """Yield the relation that is violated, and the sensors and actuators that alone would explain it."""
     at_least = "at least " if certificate.window.constant else ""
     residual, width = six_digits(certificate.residual), six_digits(certificate.width)
-    rows = [
-        ("violated", certificate.relation),
-        ("", f"is {residual} at the samples, and the bounds allow ± {width}"),
-        ("bounds needed", f"{at_least}{times(float(certificate.factor))} the stated ones"),
-    ]
+    yield "violated", certificate.relation
+    yield "", f"is {residual} at the samples, and the bounds allow ± {width}"
+    yield "bounds needed", f"{at_least}{times(float(certificate.factor))} the stated ones"
     for name, error in certificate.errors.items():
-        rows.append((f"{name} wrong?", _error_text(certificate, name, error)))
+        yield f"{name} wrong?", _error_text(certificate, name, error)
     actuator = "an actuator that did something else than was recorded would alone explain the window"
     for name in certificate.candidates:
         if name in certificate.window.model.inputs:
-            rows.append((f"{name} wrong?", actuator))
-    return rows
+            yield f"{name} wrong?", actuator
 
 
 def _error_text(certificate: Certificate, name: str, error: Fraction | float) -> str:
@@ -81,40 +78,38 @@ def _error_text(certificate: Certificate, name: str, error: Fraction | float) ->
     )
 
 
-def _consistent_rows(certificate: Certificate) -> list[Row]:
-    """Return the relation that comes nearest to its bounds, and the unknowns that explain the window."""
+def _consistent_rows(certificate: Certificate) -> Iterator[Row]:
+    """Yield the relation that comes nearest to its bounds, and the unknowns that explain the window."""
     model = certificate.window.model
-    rows = [
-        ("tightest", certificate.relation),
-        ("", f"{percent(float(certificate.factor))} of the bounds are used"),
-        ("first state", _state_text(certificate)),
-    ]
+    yield "tightest", certificate.relation
+    yield "", f"{percent(float(certificate.factor))} of the bounds are used"
+    yield "first state", _state_text(certificate)
     if model.g:
         assert certificate.disturbances is not None, EXPLAINS
-        rows.append(("disturbance", _vectors_text(certificate.disturbances)))
+        yield "disturbance", _vectors_text(certificate.disturbances)
     if model.d:
         assert certificate.unknown_inputs is not None, EXPLAINS
-        rows.append(("unknown input", _vectors_text(certificate.unknown_inputs)))
-    return rows
+        yield "unknown input", _vectors_text(certificate.unknown_inputs)
 
 
-def _uncertain_rows(certificate: UncertainCertificate) -> list[Row]:
-    """Return the rows of a certificate of a model with uncertain parameters."""
+def _uncertain_rows(certificate: UncertainCertificate) -> Iterator[Row]:
+    """Yield the rows of a certificate of a model with uncertain parameters."""
     if certificate.z is None:
         parts = (
             f"a combination of relations in each of {len(certificate.leaves)} parts of the parameters' box"
         )
-        rows = [("violated", certificate.relation or parts)]
+        yield "violated", certificate.relation or parts
         if len(certificate.leaves) == 1:
             (leaf,) = certificate.leaves
             low, high = six_digits(leaf["low"]), six_digits(leaf["high"])
-            rows.append(("", f"is in [{low}, {high}] at these samples, whatever the parameters"))
-        return rows
+            yield "", f"is in [{low}, {high}] at these samples, whatever the parameters"
+        return
     parameters = []
     assert certificate.parameters is not None, EXPLAINS
     for (name, lag), value in certificate.parameters.items():
         parameters.append(f"{at_sample(name, lag, certificate.relations.horizon)} {six_digits(value)}")
-    return [("parameters", ", ".join(parameters)), ("first state", _state_text(certificate))]
+    yield "parameters", ", ".join(parameters)
+    yield "first state", _state_text(certificate)
 
 
 def _state_text(certificate: AnyCertificate) -> str:
@@ -180,21 +175,21 @@ def _coefficient(x: Fraction) -> str | None:
     return six_digits(x)
 
 
-def _bounds_rows(certificate: Certificate, labels: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the disturbances and averages that have a part in the violated relation: they stand behind the
+def _bounds_rows(certificate: Certificate, labels: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Yield the disturbances and averages that have a part in the violated relation: they stand behind the
     outputs.
     """
     window = certificate.window
-    rows: list[tuple[str, ...]] = []
     for coefficient, row, limits in zip(certificate.h, window.rows, window.limits, strict=True):
         if coefficient and row.kind is not Kind.READING:
             when, name = labels[row.last], row_name(window.model, row)
-            rows.append((when, name, "", *_limits_text(limits), six_digits(coefficient)))
-    return rows
+            yield when, name, "", *_limits_text(limits), six_digits(coefficient)
 
 
 def _reading(value: Fraction | None) -> str:
-    return "missing" if value is None else six_digits(value)
+    if value is None:
+        return "missing"
+    return six_digits(value)
 
 
 def _limits_text(limits: tuple[Fraction, Fraction] | None, offset: Fraction | int = 0) -> tuple[str, str]:

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import cast
 
@@ -40,8 +41,8 @@ class Detected(Conclusion):
         """The sentence of the verdict."""
         return self.evaluation.summary.sentence
 
-    def rows(self) -> list[Row]:
-        """Return counts, alarms, the worst window, and the command that explains it."""
+    def rows(self) -> Iterator[Row]:
+        """Yield counts, alarms, the worst window, and the command that explains it."""
         summary, out = self.evaluation.summary, self.run.out
         evidence = cast(Evidence, summary.found)  # a recording was tested
         explain = ""
@@ -49,17 +50,17 @@ class Detected(Conclusion):
         is_certain = evidence.faulty is None and not self.evaluation.model.uncertainties
         if evidence.counts["FAULT"] and is_certain:
             explain = f"jaxbound explain {shlex.quote(str(out))} --at "
-        rows = [_counts_row(evidence), _tested_row(evidence), _alarms_row(summary, evidence, explain)]
+        yield from (_counts_row(evidence), _tested_row(evidence), _alarms_row(summary, evidence, explain))
         for name, test in (evidence.tests or {}).items():
-            rows.append((f"test {name}", _test_text(test)))
+            yield f"test {name}", _test_text(test)
         if np.isfinite(summary.margin):
-            rows.append(_worst_row(summary, evidence))
+            yield _worst_row(summary, evidence)
         if evidence.training:
-            rows.append(("training", evidence.training))
+            yield "training", evidence.training
         if explain:
-            rows.append(("proof" if summary.verdict == "fault" else "why", f"{explain}{evidence.at}"))
-        seconds = ", ".join(f"{stage} {s:.1f}" for stage, s in self.evaluation.seconds.items())
-        return [*rows, ("seconds", seconds), ("report", str(out / "report.html"))]
+            yield "proof" if summary.verdict == "fault" else "why", f"{explain}{evidence.at}"
+        yield "seconds", ", ".join(f"{stage} {s:.1f}" for stage, s in self.evaluation.seconds.items())
+        yield "report", str(out / "report.html")
 
     def plain(self) -> object:
         """Return the summary, with the files and the seconds of each stage."""

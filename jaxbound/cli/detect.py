@@ -45,10 +45,7 @@ EXAMPLES = (
         "jaxbound detect plant.toml run.csv --out report/ --alarm 3/5 -q",
         "one sentence; an alarm needs 3 FAULT among 5 windows",
     ),
-    (
-        "jaxbound detect plant.toml recordings/ --out report/",
-        "a folder of Parquet files, larger than memory",
-    ),
+    ("jaxbound detect plant.toml recordings/ --out report/", "a folder of Parquet files, larger than memory"),
     (
         "jaxbound detect plant.toml run.csv --out report/ --method observer",
         "against all samples since it began: slow faults",

@@ -12,9 +12,8 @@ from typing import Any
 from jaxbound.cli.engine import engine
 from jaxbound.cli.share import opened
 from jaxbound.cli.terminal import door, usable_device
-from jaxbound.cli.window import DetectRun, Step, method_of, recorded, stated_model, window_relations
+from jaxbound.cli.window import DetectRun, Step, stated_model, window_relations
 from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.severity import fitted
 from jaxbound.models.system import LinearSystem
@@ -32,15 +31,7 @@ from jaxbound.runs.streaming import all_parts, kept, publish, write_parts
 from jaxbound.runs.summary import Summary
 from jaxbound.text.quantities import percent
 
-__all__ = [
-    "FILES_OF_A_WHOLE",
-    "FILES_OF_PARTS",
-    "FORMER",
-    "PAGE",
-    "Evaluation",
-    "evaluate",
-    "evaluate_parts",
-]
+__all__ = ["FILES_OF_A_WHOLE", "FILES_OF_PARTS", "FORMER", "PAGE", "Evaluation", "evaluate", "evaluate_parts"]
 
 PAGE = "report.html"
 FILES_OF_A_WHOLE = (*file_names(), PAGE)
@@ -105,7 +96,7 @@ def evaluate(
     work: Path,
     step: Step,
     run: DetectRun,
-    sections: Callable[[Result], Sequence[tuple[object, ...]]] | None = None,
+    sections: Callable[[Result], Sequence[tuple[object, ...]]] = lambda res: (),
 ) -> Evaluation:
     """Read a recording as a whole, test it and write everything into a folder.
 
@@ -116,7 +107,7 @@ def evaluate(
     options, data = run.options, run.data
     with door():
         stated = stated_model(run.model, options.every)
-        source = open_source(data, recorded(stated, options))
+        source = open_source(data, options.ask.recorded(stated))
         content = source.content  # before it is read, so that what is written meanwhile does not pass for it
         recording = source.read(progress=lambda share: step("read", share))
         tested, relations = window_relations(stated, options, data, recording.samples, step)
@@ -126,14 +117,7 @@ def evaluate(
         usable_device()
 
     with door():
-        res = detect(
-            relations,
-            recording,
-            method=options.method,
-            progress=lambda share: step("test", share),
-            margins=options.margins,
-            outside=options.outside,
-        )
+        res = options.ask.detect(relations, recording, lambda share: step("test", share))
     sinks = open_sinks(work)
     for sink in sinks:
         sink.add(recording, res)
@@ -144,10 +128,7 @@ def evaluate(
     summary = outcome.summary
     close_all(sinks, outcome)
     step("report", 0.1)
-    extra: Sequence[tuple[object, ...]] = ()
-    if sections is not None:
-        extra = sections(res)
-    write_report(work / PAGE, res, recording, alarms, summary, seconds, extra)
+    write_report(work / PAGE, res, recording, alarms, summary, seconds, sections(res))
     step("report", 1.0)
     seconds["report"] = time.perf_counter() - start
     return Evaluation(summary, tested, seconds)
@@ -176,8 +157,7 @@ def _outcome(
         tested,
         Path(run.data),
         content,
-        method_of(relations, run.options),
+        run.options.ask.of(stated),
         relations.horizon,
-        run.options.observer_options,
         run.alarm.names,
     )

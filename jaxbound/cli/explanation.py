@@ -13,12 +13,11 @@ from jaxbound.consistency.interface import FAMILIES, MONITOR, Relations
 from jaxbound.diagnosis.hints import outgrown_by
 from jaxbound.models.region import Region
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.testmodels import with_tests
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.sample_axis import SampleAxis
+from jaxbound.runs.ask import Ask
 from jaxbound.runs.contradiction import NOBODY, refuted_again
-from jaxbound.runs.relations import relations_by
 from jaxbound.runs.runfile import VALIDATION, is_outgrown, load_run
 from jaxbound.runs.verdictfiles import spoken_of
 
@@ -61,10 +60,8 @@ def explain_window(directory: str | Path, at: str, step: Step) -> Explained:
             f"certificate of a window only by other methods: jaxbound detect --method windows, to another "
             f"folder"
         )
-    recorded = model
-    if method == MONITOR:
-        recorded = with_tests(model)
-    source = open_source(data, recorded)
+    ask = Ask(method, _asked_horizon(model, method, horizon), options=options)
+    source = open_source(data, ask.recorded(model))
     axis = SampleAxis(source)
     k = axis.find(at)
     if k < horizon:
@@ -72,13 +69,7 @@ def explain_window(directory: str | Path, at: str, step: Step) -> Explained:
             f"sample {k} is too early: the first window ends at sample {horizon}, {axis.label(horizon)}"
         )
     try:
-        relations = relations_by(
-            method,
-            model,
-            _asked_horizon(model, method, horizon),
-            options=options,
-            progress=lambda share: step("relations", share),
-        )
+        relations = ask.relations(model, lambda share: step("relations", share))
         step("proof", 0.0)
         if method in (OBSERVER, MONITOR):
             spoken = NOBODY

@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     """Fit a model to recordings, write and describe it; return the exit code."""
     with swift_imports():
         from jaxbound.cli.fit_summary import FitConclusion
-        from jaxbound.files.whole import whole
+        from jaxbound.files.whole import put
         from jaxbound.models.modelfile import model_text
         from jaxbound.plots.canvas import to_png
         from jaxbound.plots.fit import plot_fit
@@ -95,11 +95,9 @@ def run(args: argparse.Namespace) -> int:
             columns=columns,
             progress=lambda share: step("fit", share),
         )
-        with whole(args.out) as f:
-            f.write(model_text(model).encode())
+        put(args.out, model_text(model).encode())
         if args.plot:
-            with whole(args.plot) as f:
-                f.write(to_png(plot_fit(model)))
+            put(args.plot, to_png(plot_fit(model)))
     hints = [*_hints(args.data, recordings), *recipe_hints(args)]
     written = list(filter(None, (args.out, args.plot)))
     FitConclusion(model, args.data, written=written, hints=hints).show(args.json)
@@ -114,10 +112,7 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
     from jaxbound.models.modelfile import load_model
     from jaxbound.recordings.signals import Signals
 
-    own = {}
-    for name in ("time", "where", "every"):
-        if getattr(args, name):
-            own[name] = getattr(args, name)
+    own = {name: value for name in ("time", "where", "every") if (value := getattr(args, name))}
     if file is not None and not args.outputs:
         if args.inputs:
             raise ValueError(f"--inputs without --outputs: give both, or none for the signals of {file}")

@@ -1,7 +1,7 @@
 """A fitted model on the terminal and as JSON, and the signals that --inputs and --outputs name."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, SupportsFloat
@@ -9,7 +9,7 @@ from typing import Any, SupportsFloat
 import numpy as np
 
 from jaxbound.cli.names import parted, unquoted
-from jaxbound.cli.terminal import Conclusion, Row, Table
+from jaxbound.cli.terminal import Conclusion, Row
 from jaxbound.cli.tradeoff_table import disturbance_rows
 from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import CLOCK, expression
@@ -140,53 +140,51 @@ class FitConclusion(Conclusion):
             "hints": self.hints,
         }
 
-    def rows(self) -> list[Row]:
-        """Return the fit, what was tried beside it, and what its bounds promise."""
+    def rows(self) -> Iterator[Row]:
+        """Yield the fit, what was tried beside it, and what its bounds promise."""
         model, check, late = self.model, self.model.check, ""
         if check.delay > 1:
             late = f", a delay of {check.delay} samples"
-        rows = [("caution", sentence) for sentence in check.sentences]
-        how = f"{model.n} states, order {check.order}{late}, coefficients by {check.method}"
-        rows += [("model", how), _tested(model)]
+        yield from (("caution", sentence) for sentence in check.sentences)
+        yield "model", f"{model.n} states, order {check.order}{late}, coefficients by {check.method}"
+        yield _tested(model)
         what = "sample" if model.horizon is None else "window"
         for file, numbers in zip(self.files, check.recordings, strict=True):
-            rows.append((str(file), _recording_text(numbers, what)))
-        rows += _tried_signals(model)
-        rows += _tried_tests(model)
-        rows += _left_out(check, self.files)
-        rows += _follows(check)
-        rows += disturbance_rows(model)
+            yield str(file), _recording_text(numbers, what)
+        yield from _tried_signals(model)
+        yield from _tried_tests(model)
+        yield from _left_out(check, self.files)
+        yield from _follows(check)
+        yield from disturbance_rows(model)
         if not check.tests:  # else lags were tried
-            rows += _memory(model)
-        rows.append(("safety", f"{check.safety:g} times these bounds"))
+            yield from _memory(model)
+        yield "safety", f"{check.safety:g} times these bounds"
         means = []
         for a in model.averages:
             means.append(f"{a.text} within {float(a.bound):.4g} {model.unit(a.signal)}".rstrip())
         if means:
-            rows.append(("averages", ", ".join(means)))
+            yield "averages", ", ".join(means)
         rounded = []
         for name, r in zip(model.outputs, model.resolution, strict=True):
             if r:
                 rounded.append(f"{float(r):.6g} of {name}")
         if rounded:
             part = "that much of the bound is what the recorder rounds away"
-            rows.append(("resolution", f"{', '.join(rounded)}: {part}"))
-        return rows
+            yield "resolution", f"{', '.join(rounded)}: {part}"
 
-    def table(self) -> Table:
-        """Return the bounds of each output, and the errors that are always seen with them."""
+    def table(self) -> Iterator[Sequence[str]]:
+        """Yield the bounds of each output, and the errors that are always seen with them."""
         model, check = self.model, self.model.check
         seen = ["jump always seen", "steady error always seen"]
         if not check.steady:
             seen = ["lasting jump always seen"]
         if check.hidden:
             seen = ["lasting jump: noise may hide", "always seen, by zonotopes alone"]
-        table = [["output", "smallest bound", "written", *seen]]
+        yield ["output", "smallest bound", "written", *seen]
         sizes = list(filter(None, (check.hidden, check.jump, check.steady)))
         for name, noise, resolution in zip(model.outputs, model.noise, model.resolution, strict=True):
             bounds = f"{check.smallest[name]:.4g}", f"{float(noise + resolution):.4g}"
-            table.append([name, *bounds, *(_size(model, each, name) for each in sizes)])
-        return table
+            yield [name, *bounds, *(_size(model, each, name) for each in sizes)]
 
 
 def _average(check: FitCheck) -> int | None:
@@ -209,13 +207,12 @@ def _plain_test(test: JudgedTest, model: Fitted) -> dict[str, Any]:
     return fields | {"chosen": _is_taken(test, model)}
 
 
-def _tried_signals(model: Fitted) -> list[Row]:
-    """Return a line on each set of inputs that was taken, and on the best few of the others."""
+def _tried_signals(model: Fitted) -> Iterator[Row]:
+    """Yield a line on each set of inputs that was taken, and on the best few of the others."""
     tried = model.check.signals
     if not tried:
-        return []
+        return
     others = sorted((one for one in tried if not one.taken), key=lambda one: one.blindness)
-    rows = []
     for one in [*(one for one in tried if one.taken), *others[:SHOWN]]:
         jump, steady = _each_size(model, one.jump), _each_size(model, one.steady)
         text = f"needs {one.factor:.3g} times; jumps from {jump}, lasting from {steady}"
@@ -223,15 +220,13 @@ def _tried_signals(model: Fitted) -> list[Row]:
             text = "fewer recordings can be left out"
         elif one.taken and one.change != GIVEN:
             text = f"taken: {text}"
-        rows.append((f"signals: {one.change}", text))
+        yield f"signals: {one.change}", text
     if len(others) > SHOWN:
-        rows.append(("signals", f"tried besides, none better: {len(others) - SHOWN}"))
-    return rows
+        yield "signals", f"tried besides, none better: {len(others) - SHOWN}"
 
 
-def _tried_tests(model: Fitted) -> list[Row]:
-    """Return a line on each test that was tried: the factor it needs, and what it then sees."""
-    rows = []
+def _tried_tests(model: Fitted) -> Iterator[Row]:
+    """Yield a line on each test that was tried: the factor it needs, and what it then sees."""
     for test in model.check.tests:
         jump, steady = _each_size(model, test.jump), _each_size(model, test.steady)
         text = (
@@ -240,8 +235,7 @@ def _tried_tests(model: Fitted) -> list[Row]:
         )
         if _is_taken(test, model):
             text = f"chosen: {text}"
-        rows.append((f"test: {test.window.text}", text))
-    return rows
+        yield f"test: {test.window.text}", text
 
 
 def _by_output(model: Fitted, bounds: Iterable[SupportsFloat]) -> dict[str, float]:
@@ -280,35 +274,34 @@ def _recording_text(numbers: Mapping[str, float], what: str) -> str:
     return f"{numbers['windows']} {what}s, {100 * numbers['used']:.3g} % of the bounds used"
 
 
-def _left_out(check: FitCheck, files: Sequence[Path]) -> list[Row]:
-    """Return lines on each recording, or block, that was left out, and on what that promises."""
+def _left_out(check: FitCheck, files: Sequence[Path]) -> Iterator[Row]:
+    """Yield lines on each recording, or block, that was left out, and on what that promises."""
     if not check.left_out:
-        return [("left out", "nothing")]
+        yield "left out", "nothing"
+        return
     names = list(map(str, files))
     if len(files) == 1:
         names = [f"block {i + 1} of {len(check.left_out)}" for i in range(len(check.left_out))]
-    lines = []
     for name, one in zip(names, check.left_out, strict=True):
         text = f"{one.factor:.3g} times the smallest bounds, by a fit to the others"
         if one.why:
             text = f"unknown: {one.why}"
-        lines.append((f"left out: {name}", text))
+        yield f"left out: {name}", text
     count = 0
     if len(files) > 1:
         count = sum(not one.why for one in check.left_out)
-    return [*lines, ("promise", promise(check.factor, count))]
+    yield "promise", promise(check.factor, count)
 
 
-def _follows(check: FitCheck) -> list[Row]:
-    """Return a line on bounds that follow the operating point."""
+def _follows(check: FitCheck) -> Iterator[Row]:
+    """Yield a line on bounds that follow the operating point."""
     weight, mean, most = check.follows
-    if not weight:
-        return []
-    text = (
-        f"the operating point, weight {weight:g}: in training bounds are 1 to {most:.3g} times those below, "
-        f"{mean:.3g} on average; errors that are seen at {most:.3g} times"
-    )
-    return [("bounds follow", text)]
+    if weight:
+        text = (
+            f"the operating point, weight {weight:g}: in training bounds are 1 to {most:.3g} times those "
+            f"below, {mean:.3g} on average; errors that are seen at {most:.3g} times"
+        )
+        yield "bounds follow", text
 
 
 def promise(factor: float, count: int) -> str:
@@ -319,24 +312,22 @@ def promise(factor: float, count: int) -> str:
     return f"{text}; of recordings like them one in {count + 1} may still ask for more"
 
 
-def _memory(model: Fitted) -> list[Row]:
-    """Return a line on lags where the plant remembers longer than its windows: they may see smaller lasting
+def _memory(model: Fitted) -> Iterator[Row]:
+    """Yield a line on lags where the plant remembers longer than its windows: they may see smaller lasting
     errors.
     """
     if model.horizon is None or model.lags is not None or slowest(model) < MEMORY * (model.horizon + 1):
-        return []
+        return
     try:
         lags = suggest_lags(model)
     except ValueError:  # none of them would help
-        return []
+        return
     sizes = []
     for name in model.outputs:
         sizes.append(f"{name} {lags.sizes[lags][name]:.3g} {model.unit(name)}".rstrip())
-    return [
-        (
-            "memory",
-            f"the plant remembers longer than a window: fitted again with "
-            f"--recipe lags={','.join(map(str, lags))} it would see lasting errors from "
-            f"about {', '.join(sizes)} on, if its bounds hardly grew",
-        )
-    ]
+    yield (
+        "memory",
+        f"the plant remembers longer than a window: fitted again with "
+        f"--recipe lags={','.join(map(str, lags))} it would see lasting errors from "
+        f"about {', '.join(sizes)} on, if its bounds hardly grew",
+    )

@@ -1,7 +1,6 @@
 """The command `jaxbound fleet`: many units in one command, a table and a page with the worst first."""
 
 import argparse
-from functools import partial
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import (
@@ -61,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     with swift_imports():
         from jaxbound.cli.engine import engine
         from jaxbound.cli.fleet_table import PAGES, SHOWING, UNITS, UnitPages, conclude_fleet, write_fleet
-        from jaxbound.runs.fleet import UnitResult, detect_fleet, read_manifest
+        from jaxbound.runs.fleet import FleetTest, UnitResult, detect_fleet, read_manifest
         from jaxbound.runs.outputs import output_folder, refuse_among_inputs
         from jaxbound.runs.refusals import Interrupted
 
@@ -85,26 +84,15 @@ def run(args: argparse.Namespace) -> int:
         try:
             with progress_bars(("units",)) as step, engine(args.scheduler, args.workers) as client:
                 pages = UnitPages(work)
-                test = partial(
-                    detect_fleet,
-                    method=args.method,
-                    horizon=args.horizon,
-                    alarm=alarm_rule(args),
-                    min_coverage=args.min_coverage,
-                    lags=args.lags,
-                    options=options.observer_options,
-                    client=client,
-                    state=args.state,
-                    margins=options.margins,
-                    outside=options.outside,
-                )
+                how = FleetTest(options.ask, alarm_rule(args), args.min_coverage, args.state)
                 report = lambda share: step("units", share)
-                for result in test(units, progress=report, page=pages if client is None else None):
+                own = pages if client is None else None
+                for result in detect_fleet(units, how, own, report, client):
                     results.append(result)
                 if client is not None:  # which units get a page is known once all are tested
                     faulty = [r.unit for r in results if r.verdict in SHOWING][:PAGES]
                     pages.number(faulty)
-                    again = test(faulty, page=pages) if faulty else ()
+                    again = detect_fleet(faulty, how, pages, client=client) if faulty else ()
                     told = {r.unit.name: r for r in again}
                     results = [told.get(r.unit.name, r) for r in results]
         except KeyboardInterrupt:

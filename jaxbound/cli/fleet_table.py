@@ -3,7 +3,7 @@
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,11 +45,10 @@ def write_fleet(directory: str | Path, results: Sequence[UnitResult], title: str
     ordered = worst_first(results)
     file = directory / "fleet.csv"
     with open(file, "w", newline="", encoding="utf-8", errors="backslashreplace") as f:
-        table = csv.writer(f, lineterminator="\n")
-        for number, cells in enumerate(map(_cells, ordered)):
-            if not number:
-                table.writerow(cells)
-            table.writerow(cells.values())
+        rows = list(map(_cells, ordered))
+        table = csv.DictWriter(f, rows[0], lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
     page = fleet_page(ordered, fleet_verdict(results), title)
     (directory / "fleet.html").write_text(page, encoding="utf-8")
 
@@ -145,13 +144,15 @@ class FleetConclusion(Conclusion):
         head = ("unit", "verdict", "margin", "FAULT", "outside", "decided", "first alarm", "the last alarm")
         return [head, *map(_shown_row, self.results[:SHOWN])]
 
-    def rows(self) -> list[Row]:
-        """Return why units were not tested, and where all units are."""
+    def rows(self) -> Iterator[Row]:
+        """Yield why units were not tested, and where all units are."""
         untested = [result for result in self.results if result.verdict == "not tested"]
-        rows = [("not tested", f"{r.unit.name}: {r.summary.sentence}") for r in untested[:SHOWN]]
+        for result in untested[:SHOWN]:
+            yield "not tested", f"{result.unit.name}: {result.summary.sentence}"
         if len(self.results) > SHOWN:
-            rows.append(("", f"and {len(self.results) - SHOWN} more units"))
-        return [*rows, ("table", str(self.out / "fleet.csv")), ("page", str(self.out / "fleet.html"))]
+            yield "", f"and {len(self.results) - SHOWN} more units"
+        yield "table", str(self.out / "fleet.csv")
+        yield "page", str(self.out / "fleet.html")
 
     def plain(self) -> dict[str, Any]:
         """Return all units."""

@@ -36,11 +36,11 @@ def run(args: argparse.Namespace) -> int:
     with swift_imports():
         from jaxbound.cli.model_summary import ModelConclusion
         from jaxbound.cli.window import parity_windows
+        from jaxbound.consistency.interface import MONITOR
         from jaxbound.diagnosis.hints import bound_hints
         from jaxbound.diagnosis.monitoring import monitor
         from jaxbound.models.modelfile import load_model
         from jaxbound.models.template import template
-        from jaxbound.runs.relations import is_monitored
 
     if args.template + args.device + (args.model is not None) != 1:
         raise Refused("jaxbound info needs either a model file or --template or --device")
@@ -52,11 +52,10 @@ def run(args: argparse.Namespace) -> int:
         write(template())
         return OK
     with door(), progress_bars(("relations",)) as step:
-        model = load_model(args.model)
-        bank = None
-        if is_monitored(model, "joint", args.horizon, args.lags):
+        model, options, bank = load_model(args.model), MethodOptions.of(args), None
+        if options.ask.of(model).method == MONITOR:
             bank = monitor(model)
-        model, relations = parity_windows(model, MethodOptions.of(args), args.model, None, step)
+        model, relations = parity_windows(model, options, args.model, None, step)
     ModelConclusion(model, relations, bank, hints=bound_hints(model)).show(args.json)
     return OK
 

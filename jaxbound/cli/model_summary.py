@@ -1,7 +1,7 @@
 """A model file's contents, and what can be detected and isolated with it, on the terminal and as JSON."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -12,6 +12,7 @@ from jaxbound.diagnosis.detectability import GuaranteedSize, detectable
 from jaxbound.diagnosis.isolability import FaultIsolability, isolability
 from jaxbound.models.statedtests import StatedTest
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.relations.cost import elimination_seconds, relation_cost
 from jaxbound.relations.decoupling import signatures, structured_relations
 from jaxbound.relations.parity import ParityRelation
@@ -49,29 +50,26 @@ class ModelConclusion(Conclusion):
         """The name of the model."""
         return self.model.name
 
-    def rows(self) -> list[Row]:
-        """Return the contents of the file."""
+    def rows(self) -> Iterator[Row]:
+        """Yield the contents of the file."""
         model, relations = self.model, self.relations
         offsets = model.offset["u"] + model.offset["y"]
-        rows = [
-            ("states", f"{model.n}: {', '.join(model.states)}"),
-            ("inputs", f"{model.m}: {_signals_text(model, model.inputs)}"),
-            ("outputs", f"{model.p}: {_signals_text(model, model.outputs)}"),
-            ("dt", f"{model.dt:g} s"),
-            ("matrices", f"{_matrices_text(model)}   {_origin(model, 'model')}"),
-            *_bounds_rows(model),
-            ("offset", _nonzero_text(model.inputs + model.outputs, offsets)),
-        ]
+        yield "states", f"{model.n}: {', '.join(model.states)}"
+        yield "inputs", f"{model.m}: {_signals_text(model, model.inputs)}"
+        yield "outputs", f"{model.p}: {_signals_text(model, model.outputs)}"
+        yield "dt", f"{model.dt:g} s"
+        yield "matrices", f"{_matrices_text(model)}   {_origin(model, 'model')}"
+        yield from _bounds_rows(model)
+        yield "offset", _nonzero_text(model.inputs + model.outputs, offsets)
         for name, column in model.columns.items():
             is_signal = name in model.inputs + model.outputs
-            rows.append((f"column of {name}" if is_signal else name, column))
-        rows += _relations_rows(relations)
+            yield f"column of {name}" if is_signal else name, column
+        yield from _relations_rows(relations)
         for test in model.tests:
-            rows.append((f"test {test.name}", _test_text(test)))
+            yield f"test {test.name}", _test_text(test)
         distinct = len(distinct_relations(relations))
         if distinct < relations.count:
-            rows.append(("", f"the {distinct} below and the same some samples earlier"))
-        return rows
+            yield "", f"the {distinct} below and the same some samples earlier"
 
     def text(self) -> str:
         """Return the relations, and what they see and tell apart."""
@@ -146,35 +144,36 @@ def _named_text(model: LinearSystem, relations: ParityRelation | UncertainRelati
 
 def _sizes_by_tests(bank: MonitorBank) -> str:
     """Return lines on the guaranteed sizes of a monitor, and of each of its tests."""
-    try:
-        sizes = _guaranteed_by_tests(bank)
-    except (ValueError, NotImplementedError) as e:
-        return f"(no guaranteed sizes of the monitor: {e})"
-    if not sizes:
-        return "(guaranteed sizes of the monitor take long: jb.detectable(monitor, signal) works them out)"
+    sizes = _guaranteed_by_tests(bank)
+    if isinstance(sizes, str):
+        return f"({sizes})"
     lines = ["its tests together detect a constant fault, whatever else happens, from this size on:"]
     for name, size in sizes.items():
-        amount = "never guaranteed"
-        if math.isfinite(size):
-            amount = f"{float(size):.4g} {bank.model.unit(name)}".rstrip() + f", by {size.test}"
+        by = f", by {size.test}" * math.isfinite(size)
         others = ", ".join(f"{test} {own:.4g}" for test, own in size.tests.items())
-        lines.append(f"{name}: {amount} ({others})")
+        lines.append(f"{name}: {_amount(bank.model, name, size)}{by} ({others})")
     return "\n".join(lines)
 
 
-def _guaranteed_by_tests(bank: MonitorBank) -> dict[str, GuaranteedSize]:
-    """Return {signal: size} of the constant faults that a monitor detects; {} where that takes long.
+def _amount(model: SignalModel, name: str, size: float) -> str:
+    """Return a guaranteed size of a fault of a signal in its unit."""
+    if math.isinf(size):
+        return "never guaranteed"
+    return f"{float(size):.4g} {model.unit(name)}".rstrip()
 
-    Raises:
-        ValueError, NotImplementedError: as `detectable`.
-    """
+
+def _guaranteed_by_tests(bank: MonitorBank) -> dict[str, GuaranteedSize] | str:
+    """Return {signal: size} of the constant faults that a monitor detects, or why they are not known."""
     seconds = 0.0
     for watch in bank.watches:
         if watch.relations.linear is not None:
             seconds += _seconds(watch.relations.linear.model, watch.relations.horizon)
     if seconds > PATIENCE:
-        return {}
-    return {name: detectable(bank, name) for name in bank.model.outputs + bank.model.inputs}
+        return "guaranteed sizes of the monitor take long: jb.detectable(monitor, signal) works them out"
+    try:
+        return {name: detectable(bank, name) for name in bank.model.outputs + bank.model.inputs}
+    except (ValueError, NotImplementedError) as e:
+        return f"no guaranteed sizes of the monitor: {e}"
 
 
 def _test_text(test: StatedTest) -> str:
@@ -197,28 +196,26 @@ def _matrices_text(model: LinearSystem) -> str:
     return f"A {model.n}x{model.n}, B {model.n}x{model.m}, C {model.p}x{model.n}, D {direct}"
 
 
-def _bounds_rows(model: LinearSystem) -> list[Row]:
-    """Return a row for each kind of bound."""
-    rows = []
+def _bounds_rows(model: LinearSystem) -> Iterator[Row]:
+    """Yield a row for each kind of bound."""
     for kind in SENSOR_BOUNDS:
         values = _nonzero_text(model.outputs, getattr(model, kind))
-        rows.append((kind, f"{values}   {_origin(model, kind)}".rstrip()))
+        yield kind, f"{values}   {_origin(model, kind)}".rstrip()
     for factor in model.factors:
-        rows.append((f"noise of {factor.output}", f"times {factor.text}"))
+        yield f"noise of {factor.output}", f"times {factor.text}"
     if model.g:
         ranges = []
         for j, (lo, hi) in enumerate(model.disturbance):
             ranges.append(f"w{j + 1} in [{float(lo):.6g}, {float(hi):.6g}]")
-        rows.append(("disturbance", f"{', '.join(ranges)}   {_origin(model, 'disturbance')}"))
+        yield "disturbance", f"{', '.join(ranges)}   {_origin(model, 'disturbance')}"
     for a in model.averages:
-        rows.append(("average", f"{a.text} within {float(a.bound):.6g}"))
+        yield "average", f"{a.text} within {float(a.bound):.6g}"
     if model.d:
-        rows.append(("unknown inputs", f"{model.d}, of which nothing is known"))
+        yield "unknown inputs", f"{model.d}, of which nothing is known"
     for parameter in model.uncertainties:
         low, high = map(float, parameter.between)
         how = "varies" if parameter.varying else "constant"
-        rows.append(("parameter", f"{parameter.name} in [{low:.6g}, {high:.6g}], {how}"))
-    return rows
+        yield "parameter", f"{parameter.name} in [{low:.6g}, {high:.6g}], {how}"
 
 
 def _nonzero_text(names: Sequence[str], values: Sequence[Fraction]) -> str:
@@ -237,26 +234,23 @@ def _origin(model: LinearSystem, field: str) -> str:
     return "(origin not stated)"
 
 
-def _relations_rows(relations: ParityRelation | UncertainRelations) -> list[Row]:
-    """Return rows on the windows and on how many relations are tested."""
+def _relations_rows(relations: ParityRelation | UncertainRelations) -> Iterator[Row]:
+    """Yield rows on the windows and on how many relations are tested."""
     s = relations.horizon
-    rows = [("horizon", f"{s}: a window has {s + 1} samples")]
+    yield "horizon", f"{s}: a window has {s + 1} samples"
     lags = relations.lags
     if lags:
         about = "so long before its last sample outputs are looked at"
-        rows.append(("lags", f"{', '.join(map(str, lags))}: {about}"))
-    rows.append(("relations", f"{relations.count} independent, {relations.tested}"))
-    rows += [("note", note) for note in relations.notes]
-    return rows
+        yield "lags", f"{', '.join(map(str, lags))}: {about}"
+    yield "relations", f"{relations.count} independent, {relations.tested}"
+    yield from (("note", note) for note in relations.notes)
 
 
 def _plain_by_tests(bank: MonitorBank) -> dict[str, Any]:
     """Return {signal: {"size", "test", "tests"}} of a monitor; {} where its sizes are not known."""
-    try:
-        sizes = _guaranteed_by_tests(bank)
-    except (ValueError, NotImplementedError):
+    sizes, plain = _guaranteed_by_tests(bank), {}
+    if isinstance(sizes, str):
         return {}
-    plain = {}
     for name, size in sizes.items():
         plain[name] = {"size": size, "test": size.test or None, "tests": size.tests}
     return plain
@@ -349,6 +343,5 @@ def _sizes(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None) -> l
         f"this size on:"
     ]
     for name, size in _guaranteed(model, horizon, lags).items():
-        amount = "never guaranteed" if math.isinf(size) else f"{float(size):.4g} {model.unit(name)}".rstrip()
-        lines.append(f"{name}: {amount}")
+        lines.append(f"{name}: {_amount(model, name, size)}")
     return lines

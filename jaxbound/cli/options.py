@@ -17,6 +17,7 @@ from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
     from jaxbound.diagnosis.alarmrule import AlarmRule
+    from jaxbound.runs.ask import Ask
 
 __all__ = [
     "ALARM",
@@ -140,6 +141,13 @@ class MethodOptions:
     def observes(self) -> bool:
         """Whether an observer is asked for."""
         return self.method == OBSERVER
+
+    @property
+    def ask(self) -> "Ask":
+        """The test that is asked for, as `runs` takes it."""
+        from jaxbound.runs.ask import Ask  # only now: a help is to be there at once
+
+        return Ask(self.method, self.horizon, self.lags, self.observer_options, self.margins, self.outside)
 
     @property
     def observer_options(self) -> dict[str, Any]:

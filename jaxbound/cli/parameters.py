@@ -1,13 +1,13 @@
 """The command `jaxbound parameters`: values of constant parameters that can explain a whole recording."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import FORCE, JSON, WINDOW, MethodOptions, Options, every, share, whole_number
-from jaxbound.cli.terminal import INTERRUPTED, OK, Conclusion, Row, Table, door, progress_bars, some_device
+from jaxbound.cli.terminal import INTERRUPTED, OK, Conclusion, Row, door, progress_bars, some_device
 
 if TYPE_CHECKING:
     from jaxbound.estimation.parameter_set import ParameterSet
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.cli.window import parity_windows, stated_model
         from jaxbound.estimation.parameter_search import STOPPED
         from jaxbound.estimation.parameters import parameters
-        from jaxbound.files.whole import whole
+        from jaxbound.files.whole import put
         from jaxbound.models.modelfile import model_text
         from jaxbound.plots.canvas import to_png
         from jaxbound.plots.parameters import plot_parameters
@@ -65,8 +65,8 @@ def run(args: argparse.Namespace) -> int:
         model = stated_model(args.model, args.every)
         recording = read(args.data, model, lambda share: step("read", share))
         some_device()
-        about = MethodOptions.of(args), args.data, recording.samples, step
-        model, relations = parity_windows(model, *about)
+        options = MethodOptions.of(args)
+        model, relations = parity_windows(model, options, args.data, recording.samples, step)
         left = parameters(
             relations,
             recording,
@@ -76,12 +76,10 @@ def run(args: argparse.Namespace) -> int:
         )
         written = []
         if args.out and len(left.lo):
-            with whole(args.out) as f:
-                f.write(model_text(left.model).encode())
+            put(args.out, model_text(left.model).encode())
             written.append(str(args.out))
         if args.plot:
-            with whole(args.plot) as f:
-                f.write(to_png(plot_parameters(left)))
+            put(args.plot, to_png(plot_parameters(left)))
             written.append(str(args.plot))
     ParameterConclusion(left, recording.label, written=written, hints=recording.hints).show(args.json)
     if left.status == STOPPED:
@@ -106,24 +104,22 @@ class ParameterConclusion(Conclusion):
             return f"FAULT proved: no values of {names} explain all {windows} windows"
         return f"{names}: every value that explains all {windows} windows is in these bounds"
 
-    def table(self) -> Table:
-        """Return the bounds of each parameter."""
+    def table(self) -> Iterator[Sequence[str]]:
+        """Yield the bounds of each parameter."""
         if not len(self.left.lo):
-            return ()
-        table = [("parameter", "at least", "at most", "before")]
+            return
+        yield "parameter", "at least", "at most", "before"
         for name, (lo, hi) in self.left.hull.items():
             before = "{:g} to {:g}".format(*self.left.bounds[name])
-            table.append((name, f"{lo:.6g}", f"{hi:.6g}", before))
-        return table
+            yield name, f"{lo:.6g}", f"{hi:.6g}", before
 
-    def rows(self) -> list[Row]:
-        """Return the share that is left, and the window that refutes most."""
+    def rows(self) -> Iterator[Row]:
+        """Yield the share that is left, and the window that refutes most."""
         left = self.left
-        rows = [("left", f"{100 * left.share:.3g} % of the volume, in {len(left.lo)} boxes; {left.status}")]
+        yield "left", f"{100 * left.share:.3g} % of the volume, in {len(left.lo)} boxes; {left.status}"
         if left.refuted:
             sample, boxes = next(iter(left.refuted.items()))
-            rows.append(("refuted most", f"the window that ends at {self.label(sample)}: {boxes} boxes"))
-        return rows
+            yield "refuted most", f"the window that ends at {self.label(sample)}: {boxes} boxes"
 
     def plain(self) -> dict[str, object]:
         """Return the bounds before and now, and the counts of boxes."""

@@ -160,15 +160,9 @@ def judge_stream(asked: LiveRun, chunks: Iterable[Any] | None = None) -> int:
             if end is not None:
                 chunks = arrivals(stream.raw, end)
             summary = run.to_the_end(chunks or (), asked.min_coverage)
-            about = (
-                tested,
-                Path(asked.data),
-                None,
-                options.method,
-                relations.horizon,
-                options.observer_options,
-            )
-            close_all(run.outputs, Outcome([], summary, *about))
+            data = Path(asked.data)
+            outcome = Outcome([], summary, tested, data, None, options.ask, relations.horizon)
+            close_all(run.outputs, outcome)
         if journal is not None:
             journal.close()
         if folder is not None:
@@ -384,7 +378,8 @@ class _PrintedLines:
         """Take the rows of the next verdicts."""
         self.fresh = self.text.of(piece, verdicts)
         if self.json:
-            self.texts = _is_text(piece)
+            # dates are written as text
+            self.texts = str(moments(piece.column.slice(0, 0)).type) in ("string", "large_string")
         self.notices = self.alarms.notices
 
     def memory(self) -> Memory:
@@ -478,11 +473,6 @@ def _number(text: str) -> float | None:
     if not text:
         return None
     return finite(float(text))
-
-
-def _is_text(piece: Recording) -> bool:
-    """Return whether the time of a piece is written as text, as dates are."""
-    return str(moments(piece.column.slice(0, 0)).type) in ("string", "large_string")
 
 
 class _Complaints:

@@ -90,13 +90,9 @@ def _options(args: argparse.Namespace) -> list[str]:
     return [name for name in FIELDS if getattr(args, name) is not None]
 
 
-def _flag(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
-
-
 def recipe_hints(args: argparse.Namespace) -> list[str]:
     """Return a sentence on options that are fields of a recipe."""
-    flags = ", ".join(map(_flag, _options(args)))
+    flags = ", ".join(map("--{}".format, _options(args))).replace("_", "-")
     if not flags:
         return []
     return [f"{flags}: the next version has them in a recipe alone, --recipe horizon=30,order=1"]

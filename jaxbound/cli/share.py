@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from jaxbound.cli.terminal import OK, door, json_text, progress_bars, show, usable_device, write
-from jaxbound.cli.window import DetectRun, Step, recorded, stated_model, window_relations
+from jaxbound.cli.window import DetectRun, Step, stated_model, window_relations
 from jaxbound.recordings.parquet import PARTIAL
 from jaxbound.recordings.read import open_source
 from jaxbound.runs.outputs import shared_folder
@@ -82,11 +82,9 @@ def opened(run: DetectRun, step: Step) -> tuple[Any, Asked]:
     options = run.options
     stated = stated_model(run.model, options.every)
     usable_device()
-    source = open_source(run.data, recorded(stated, options))
+    source = open_source(run.data, options.ask.recorded(stated))
     _, relations = window_relations(stated, options, run.data, source.samples, step)
-    return source, Asked(
-        relations, options.method, options.margins, options.outside, run.overlap, run.chunk or CHUNK
-    )
+    return source, Asked(relations, options.ask, run.overlap, run.chunk or CHUNK)
 
 
 def same_test(words: Sequence[str]) -> str:

@@ -179,8 +179,7 @@ def _sizes(text: str | None) -> list[float] | None:
             raise ValueError
         if int(count) > MOST_SIZES:
             raise Refused(f"--sizes asks for {int(count)} sizes of a fault: at most {MOST_SIZES} are studied")
-        sizes: list[float] = np.linspace(decimal(lo), decimal(hi), int(count)).tolist()
-        return sizes
+        return list(np.linspace(decimal(lo), decimal(hi), int(count)).tolist())
     except ValueError:
         raise Refused(
             f"--sizes needs lo:hi:count, like 0.1:1:10, or numbers with commas, not {text!r}"

@@ -1,21 +1,18 @@
 """The files of a Monte-Carlo study, and its conclusion on the terminal or as JSON."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import numpy as np
 
 from jaxbound.cli.terminal import Conclusion, Row, Table
-from jaxbound.recordings.columns import texts, to_arrow, write_columns
+from jaxbound.recordings.columns import Arrow, texts, to_arrow, write_columns
 from jaxbound.reports.study import COLUMNS, sentence, study_head, study_page, study_rows
 from jaxbound.studies.montecarlo.study_result import StudyResult, delay_table, study_table
 from jaxbound.text.characters import cell
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 __all__ = ["FILES", "StudyConclusion", "write_study"]
 
@@ -36,12 +33,12 @@ def write_study(work: Path, result: StudyResult, seed: int, seconds: float) -> N
     (work / "report.html").write_text(study_page(result, seed, seconds), encoding="utf-8")
 
 
-def _columns(table: dict[str, np.ndarray], written: Callable[[Any], str] = str) -> "dict[str, pa.Array]":
+def _columns(table: dict[str, np.ndarray], written: Callable[[Any], str] = str) -> dict[str, Arrow]:
     """Return the columns of a table as pyarrow arrays."""
     return {name: _column(values, written) for name, values in table.items()}
 
 
-def _column(values: np.ndarray, written: Callable[[Any], str]) -> "pa.Array":
+def _column(values: np.ndarray, written: Callable[[Any], str]) -> Arrow:
     """Return numbers, or texts as they are written, as a pyarrow array."""
     if values.dtype != object:
         return to_arrow(values)
@@ -66,7 +63,7 @@ class StudyConclusion(Conclusion):
         """Return a row for each fault and size."""
         return [study_head(self.result), *study_rows(self.result)]
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> Sequence[Row]:
         """Return the false alarms, and the speed."""
         result = self.result
         speed = result.scenarios * result.samples / max(self.seconds, 1e-9) / 1e6

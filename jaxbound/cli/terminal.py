@@ -47,7 +47,7 @@ LOUDNESS: ContextVar[int] = ContextVar("loudness", default=NORMAL)
 """How much a command says: -q the first line of its conclusion, -v more than it would."""
 Row = tuple[str, str]
 """(name, value)."""
-Table = Sequence[Sequence[str]]
+Table = Iterable[Sequence[str]]
 EVERY = 60.0
 """Seconds between two lines of progress where there is no terminal."""
 
@@ -184,12 +184,7 @@ def nobody_reads() -> None:
 
 
 def show(
-    headline: str,
-    style: str,
-    rows: Iterable[tuple[str, str]],
-    table: Table = (),
-    text: str = "",
-    last: bool = False,
+    headline: str, style: str, rows: Iterable[Row], table: Table = (), text: str = "", last: bool = False
 ) -> None:
     """Print a headline, a table (rows of cells, the header first), pairs of (name, value) and a text; names
     are not markup.
@@ -212,11 +207,12 @@ def show(
     console.print(Text(printable(headline), style), soft_wrap=not terminal)
     if last and grid.row_count:
         console.print(grid)
-    if table:
+    lines = list(table)
+    if lines:
         rates = Table(box=None, padding=(0, 2), pad_edge=False)
-        for i, name in enumerate(table[0]):
+        for i, name in enumerate(lines[0]):
             rates.add_column(Text(printable(name)), justify="right" if i else "left")
-        for row in table[1:]:
+        for row in lines[1:]:
             rates.add_row(*(Text(printable(cell)) for cell in row))
         console.print(rates)
     if not last and grid.row_count:
@@ -246,11 +242,11 @@ class Conclusion(ABC):
         """The first line, all that -q leaves."""
 
     @abstractmethod
-    def rows(self) -> list[Row]:
-        """Return rows of (name, value), without the hints and the new files."""
+    def rows(self) -> Iterable[Row]:
+        """Give rows of (name, value), without the hints and the new files."""
 
     def table(self) -> Table:
-        """Return rows of cells, the header first."""
+        """Give rows of cells, the header first."""
         return ()
 
     def text(self) -> str:
@@ -269,7 +265,7 @@ class Conclusion(ABC):
         if LOUDNESS.get() == QUIET:
             show(self.headline, self.style, ())
             return
-        rows = self.rows()
+        rows = list(self.rows())
         if self.written:
             rows.append(("written", " and ".join(map(str, self.written))))
         rows += [("hint", hint) for hint in self.hints]

@@ -1,6 +1,7 @@
 """The faults of --see, and the trade-off between bounds and faults that are seen, as table and JSON."""
 
 import math
+from collections.abc import Iterator
 from typing import SupportsFloat
 
 from jaxbound.cli.names import parted, unquoted
@@ -38,9 +39,14 @@ def wanted(text: str) -> tuple[Fault, ...]:
     return tuple(faults)
 
 
-def disturbance_rows(model: Fitted) -> list[tuple[str, str]]:
-    """Return lines on the disturbances of a fit and on those that it looked at, the chosen one marked."""
-    rows = []
+def disturbance_rows(model: Fitted) -> Iterator[tuple[str, str]]:
+    """Yield lines on the disturbances of a fit and on those that it looked at, the chosen one marked."""
+    if model.check.tradeoff:
+        bounds = [f"w{j + 1} {float(high):.3g}" for j, (_, high) in enumerate(_disturbance(model))]
+        text = "none: bounds of the sensors alone see the smallest faults"
+        if bounds:
+            text = f"{', '.join(bounds)} a sample"
+        yield "disturbances", f"{text}; shares of the noise below:"
     for choice in model.check.tradeoff:
         star = ""
         if choice.chosen:
@@ -49,20 +55,11 @@ def disturbance_rows(model: Fitted) -> list[tuple[str, str]]:
         for fault, size in choice.sizes.items():
             sizes.append(f"{fault} {_size(size)}")
         noise = [f"{name} {bound:.3g}" for name, bound in choice.noise.items()]
-        rows.append(
-            (
-                f"{star}process {choice.process:g}, drift {choice.drift:g}",
-                f"{choice.method}: factor {choice.factor:.3g}, safety {choice.safety:.4g}, "
-                f"noise {', '.join(noise)}; sees {', '.join(sizes)}",
-            )
+        yield (
+            f"{star}process {choice.process:g}, drift {choice.drift:g}",
+            f"{choice.method}: factor {choice.factor:.3g}, safety {choice.safety:.4g}, "
+            f"noise {', '.join(noise)}; sees {', '.join(sizes)}",
         )
-    if rows:
-        bounds = [f"w{j + 1} {float(high):.3g}" for j, (_, high) in enumerate(_disturbance(model))]
-        text = "none: bounds of the sensors alone see the smallest faults"
-        if bounds:
-            text = f"{', '.join(bounds)} a sample"
-        rows.insert(0, ("disturbances", f"{text}; shares of the noise below:"))
-    return rows
 
 
 def _disturbance(model: Fitted) -> tuple[tuple[SupportsFloat, SupportsFloat], ...]:

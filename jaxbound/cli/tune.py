@@ -17,15 +17,7 @@ from jaxbound.cli.options import (
     share,
     whole_number,
 )
-from jaxbound.cli.terminal import (
-    INTERRUPTED,
-    OK,
-    Refused,
-    door,
-    progress_bars,
-    say,
-    some_device,
-)
+from jaxbound.cli.terminal import INTERRUPTED, OK, Refused, door, progress_bars, say, some_device
 from jaxbound.text.progress import in_part
 from jaxbound.text.quantities import decimal
 
@@ -99,8 +91,8 @@ def run(args: argparse.Namespace) -> int:
             optimizer,
             tuned_text,
         )
-        from jaxbound.cli.window import recorded, stated_model, window_relations
-        from jaxbound.files.whole import whole
+        from jaxbound.cli.window import stated_model, window_relations
+        from jaxbound.files.whole import put
         from jaxbound.plots.canvas import to_png
         from jaxbound.plots.tune import plot_tuning
         from jaxbound.recordings.read import read
@@ -123,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
         steps = STEPS
     with door(), progress_bars(("read", "relations", "tune")) as step:
         model = stated_model(args.model, args.every)
-        columns = recorded(model, options)
+        columns = options.ask.recorded(model)
         text = args.model.read_text(encoding="utf-8-sig")
         recordings = []
         for i, file in enumerate(files):
@@ -151,11 +143,9 @@ def run(args: argparse.Namespace) -> int:
             progress=lambda share: step("tune", share),
             state=None if relations.parts else state,
         )
-        with whole(args.out) as f:
-            f.write(tuned_text(tuning, text))
+        put(args.out, tuned_text(tuning, text))
         if args.plot and isinstance(tuning, TuneResult):
-            with whole(args.plot) as f:
-                f.write(to_png(plot_tuning(tuning)))
+            put(args.plot, to_png(plot_tuning(tuning)))
     hints = notes + [f"{file}: {hint}" for file, r in zip(files, recordings, strict=True) for hint in r.hints]
     if isinstance(tuning, MonitorTuneResult):
         FactorConclusion(tuning, written=[args.out], hints=hints).show(args.json)
@@ -178,15 +168,9 @@ def _refuse_search(args: argparse.Namespace) -> None:
     Raises:
         Refused: one of them is asked for.
     """
-    asked = {
-        "--steps": args.steps,
-        "--optimizer": args.optimizer,
-        "--bounds": args.bounds,
-        "--plot": args.plot,
-    }
-    for option, value in asked.items():
-        if value:
+    for name in ("steps", "optimizer", "bounds", "plot"):
+        if getattr(args, name):
             raise Refused(
-                f"{option} is for one test: the model states tests, and each gets one factor; ask for one "
-                f"test by --horizon, --lags or --method, or leave {option} out"
+                f"--{name} is for one test: the model states tests, and each gets one factor; ask for one "
+                f"test by --horizon, --lags or --method, or leave --{name} out"
             )

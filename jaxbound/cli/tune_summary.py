@@ -103,27 +103,26 @@ class FactorConclusion(Conclusion):
             "hints": self.hints,
         }
 
-    def table(self) -> Table:
-        """Return the factors of each test."""
+    def table(self) -> Iterator[Sequence[str]]:
+        """Yield the factors of each test."""
         tuning = self.tuning
-        table = [("test", "factor", "smallest", "left out", "written", "healthy", "caught")]
+        yield "test", "factor", "smallest", "left out", "written", "healthy", "caught"
         for name, factor in tuning.factors.items():
             one = tuning.tests.get(name)
             start, new = f"{float(tuning.start[name]):.6g}", number_text(factor)
             if one is None:
-                table.append((name, start, "", "", new, "it watches nothing", ""))
+                yield name, start, "", "", new, "it watches nothing", ""
                 continue
             smallest = f"{one.scale * float(tuning.start[name]):.6g}"
             caught = ""
             if one.caught is not None:
                 caught = f"{one.caught:.1%}"
             healthy = _counts_text(one.counts)
-            table.append((name, start, smallest, f"{one.factor:.3g}", new, healthy, caught))
-        return table
+            yield name, start, smallest, f"{one.factor:.3g}", new, healthy, caught
 
-    def rows(self) -> list[Row]:
-        """Return the counts of all tests together."""
-        return _counted_rows(self.tuning, "samples, by the monitor") + _notes(self.tuning)
+    def rows(self) -> Iterator[Row]:
+        """Yield the counts of all tests together."""
+        return _counted_rows(self.tuning, "samples, by the monitor")
 
 
 @dataclass(frozen=True)
@@ -164,8 +163,8 @@ class TuneConclusion(Conclusion):
         """Return the bounds that moved."""
         return [("bound", "start", "smallest", "written"), *_moved_bounds(self.tuning)]
 
-    def rows(self) -> list[Row]:
-        """Return the counts and factors that the bounds rest on."""
+    def rows(self) -> Iterator[Row]:
+        """Yield the counts and factors that the bounds rest on."""
         tuning = self.tuning
         reason = "no smaller ones in this direction explain the healthy data"
         safety = f"{tuning.safety:g} times these bounds"
@@ -174,31 +173,29 @@ class TuneConclusion(Conclusion):
         window = f"windows of {tuning.relations.horizon + 1} samples, by the proved test"
         if tuning.relations.remembers:
             window = "samples, by the observer"
-        rows = [("scale", f"{tuning.scale:.9g} times the starting bounds: {reason}")]
+        yield "scale", f"{tuning.scale:.9g} times the starting bounds: {reason}"
         for file, factor in zip(self.healthy, tuning.left_out, strict=False):  # a single one is not left out
             text = "unknown: it, or the others, hold no window"
             if np.isfinite(factor):
                 text = f"{factor:.3g} times the smallest bounds of the others"
-            rows.append((f"left out: {file}", text))
+            yield f"left out: {file}", text
         known = int(np.isfinite(tuning.left_out).sum())
         if known:
-            rows.append(("promise", promise(tuning.factor, known)))
-        rows.append(("safety", safety))
-        rows += _counted_rows(tuning, window)
-        rows += [("steps", str(tuning.steps)), ("elsewhere", tuning.statement)]
-        return rows + _notes(tuning)
+            yield "promise", promise(tuning.factor, known)
+        yield "safety", safety
+        elsewhere = ("steps", str(tuning.steps)), ("elsewhere", tuning.statement)
+        yield from _counted_rows(tuning, window, elsewhere)
 
 
-def _counted_rows(tuning: TuneResult | MonitorTuneResult, what: str) -> list[Row]:
-    """Return the counts of the healthy recordings, and of the faulty ones. what: is counted."""
-    rows = [("healthy", f"{_counts_text(tuning.counts)} {what}")]
+def _counted_rows(
+    tuning: TuneResult | MonitorTuneResult, what: str, more: Sequence[Row] = ()
+) -> Iterator[Row]:
+    """Yield the counts of healthy and of faulty recordings, more, and notes. what: is counted."""
+    yield "healthy", f"{_counts_text(tuning.counts)} {what}"
     if tuning.faulty_counts:
-        rows.append(("faulty", f"{_counts_text(tuning.faulty_counts)}: {tuning.caught:.1%} proved faulty"))
-    return rows
-
-
-def _notes(tuning: TuneResult | MonitorTuneResult) -> list[Row]:
-    return [("note", note) for note in tuning.notes]
+        yield "faulty", f"{_counts_text(tuning.faulty_counts)}: {tuning.caught:.1%} proved faulty"
+    yield from more
+    yield from (("note", note) for note in tuning.notes)
 
 
 def _counts_text(counts: Mapping[str, int]) -> str:

@@ -1,6 +1,7 @@
 """A recording that is validated: read, judged and written with its report."""
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -52,29 +53,26 @@ def evaluate_validation(work: Path, step: Step, run: DetectRun) -> Evaluation:
     sure = (*device_hints(judging_device(remembers=True)), *bound_hints(plant))
     hints = (*recording.hints, *sure, *reaches, *_assumptions(res, recording))
     summary = summarised(res, alarms, recording.label, run.min_coverage, hints, outgrown=bool(reaches))
-    close_all(sinks, Outcome(alarms, summary, plant, Path(data), content, options.method, horizon))
+    close_all(sinks, Outcome(alarms, summary, plant, Path(data), content, options.ask, horizon))
     write_page(work / PAGE, res, recording, summary, seconds)
     seconds["report"] = time.perf_counter() - start
     return Evaluation(summary, plant, seconds)
 
 
-def _assumptions(res: Validated, recording: Recording) -> list[str]:
-    """Return sentences on what the verdicts of a validation rest on beside the bounds."""
+def _assumptions(res: Validated, recording: Recording) -> Iterator[str]:
+    """Yield sentences on what the verdicts of a validation rest on beside the bounds."""
     samples = "complete samples, here and behind each gap," if len(recording.starts) else "samples"
-    sentences = [
+    yield (
         f"the first {res.horizon + 1} {samples} are taken to be free of faults: a fault there may stay "
         f"unseen, or blame a healthy sensor"
-    ]
+    )
     if res.model.m:
-        sentences.append(
-            "inputs are taken as recorded: where an actuator did something else, a healthy sensor is named"
-        )
+        yield "inputs are taken as recorded: where an actuator did something else, a healthy sensor is named"
     if res.first_fault is not None:
-        sentences.append(
+        yield (
             f"from {recording.label(res.first_fault)} on, the first FAULT, bands hold the true values only "
             f"if every faulty sample was found: a band may follow a sensor that stays wrong"
         )
-    return sentences
 
 
 def _validated(model: LinearSystem, recording: Recording, horizon: int) -> Validated:

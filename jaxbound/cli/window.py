@@ -9,28 +9,16 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from jaxbound.cli.options import MethodOptions
-from jaxbound.consistency.interface import FAMILIES, MONITOR, Relations
+from jaxbound.consistency.interface import FAMILIES, MONITOR, OBSERVER, Relations
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.testmodels import with_tests
 from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.means import EVERY
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.runs.relations import is_monitored, relations_by
 
-__all__ = [
-    "DetectRun",
-    "Step",
-    "asked",
-    "method_of",
-    "parity_windows",
-    "recorded",
-    "stated_model",
-    "window_relations",
-    "windowed",
-]
+__all__ = ["DetectRun", "Step", "asked", "parity_windows", "stated_model", "window_relations", "windowed"]
 
 
 R = TypeVar("R", bound=Any)
@@ -102,11 +90,7 @@ def stated_model(path: Path | str, every: str | None) -> LinearSystem:
 
 
 def window_relations(
-    model: LinearSystem,
-    options: MethodOptions,
-    source: object,
-    samples: int | None,
-    step: Step,
+    model: LinearSystem, options: MethodOptions, source: object, samples: int | None, step: Step
 ) -> tuple[LinearSystem, Relations]:
     """Return (model, relations) of the windows that a command asks for, or (model, observer) of an observer.
 
@@ -118,39 +102,15 @@ def window_relations(
         ValueError: a recording without a whole window, windows without a relation; no observer.
     """
     options.check()
-    if is_monitored(model, options.method, options.horizon, options.lags):
-        return model, relations_by(MONITOR, model, progress=lambda share: step("relations", share))
     # Parity relations go their own way: lags and a horizon change the model that a report keeps, and a
     # recording that is too short is refused before minutes of elimination.
-    if options.method in FAMILIES or options.observes:
-        return model, relations_by(options.method, model, options.horizon, options=options.observer_options)
+    if options.ask.of(model).method in (*FAMILIES, MONITOR, OBSERVER):
+        return model, options.ask.relations(model, lambda share: step("relations", share))
     return parity_windows(model, options, source, samples, step)
 
 
-def recorded(model: LinearSystem, options: MethodOptions) -> LinearSystem:
-    """Return the model by which a command reads a recording: with all columns that its tests need.
-
-    Raises:
-        ValueError: tests that make no model.
-    """
-    if is_monitored(model, options.method, options.horizon, options.lags):
-        return with_tests(model)
-    return model
-
-
-def method_of(relations: Relations, options: MethodOptions) -> str:
-    """Return the method of the test that a command makes."""
-    if relations.parts:
-        return MONITOR
-    return options.method
-
-
 def parity_windows(
-    model: LinearSystem,
-    options: MethodOptions,
-    source: object,
-    samples: int | None,
-    step: Step,
+    model: LinearSystem, options: MethodOptions, source: object, samples: int | None, step: Step
 ) -> tuple[LinearSystem, ParityRelation | UncertainRelations]:
     """Return (model, parity relations) of the windows that a command asks for; arguments and errors as of
     `window_relations`.

@@ -65,8 +65,7 @@ class Acknowledged:
         """Return the last time before `low`, and all from there to `high`."""
         instants = self.instants()
         first = max(int(np.searchsorted(instants, low)) - 1, 0)
-        found: list[float] = instants[first : np.searchsorted(instants, high, "right")].tolist()
-        return found
+        return list(instants[first : np.searchsorted(instants, high, "right")].tolist())
 
     def check(self) -> None:
         """Raise ValueError for a file that is not there, or has a line that is no time or has no end."""

@@ -266,21 +266,14 @@ def _by_tests(
             raise ValueError(f"test {watch.name!r}: {e}") from None
     if not sizes and unknown is not None:
         raise unknown
-    best: GuaranteedSize | None = None
-    modes: list[GuaranteedSize | None] = []
-    for condition in (None, *bank.conditions):
-        least: GuaranteedSize | None = None
-        for watch in bank.watches:
-            own = sizes.get(watch.name)
-            if watch.when == condition and own is not None and (least is None or own < least):
-                least = own
-        if condition is None:
-            best = least
-        else:
-            modes.append(least)
-    known = [size for size in modes if size is not None]
-    if bank.complete and len(known) == len(modes):  # whatever the mode, one of its tests sees it
-        worst = max(known)
+    least: dict[str | None, GuaranteedSize] = {}  # of each mode, the first of equals; None: of any
+    for watch in bank.watches:
+        if watch.name in sizes:
+            own = sizes[watch.name]
+            least[watch.when] = min(least.get(watch.when, own), own)
+    best = least.pop(None, None)
+    if bank.complete and len(least) == len(bank.conditions):  # whatever the mode, one of its tests sees it
+        worst = max(map(least.__getitem__, bank.conditions))
         if best is None or worst < best:
             best = worst
     if best is None:
@@ -404,8 +397,7 @@ def _by_output(model: LinearSystem, stated: Any) -> Sequence[Number]:  # a table
         return [stated[find_column(name, names, "operating_range")] for name in model.outputs]
     if np.ndim(stated) == 0:
         return list(np.broadcast_to(np.asarray(stated, object), (model.p,)))  # a float32 stays one
-    sizes: Sequence[Number] = stated
-    return sizes
+    return cast("Sequence[Number]", stated)
 
 
 def visible_sizes(

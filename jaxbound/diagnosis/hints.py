@@ -1,6 +1,6 @@
 """Hints on bounds, and on a model that does not fit, as sentences for whoever acts on verdicts."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Protocol
 
 import numpy as np
@@ -69,7 +69,7 @@ def bound_hints(model: object, relations: Relations | None = None) -> list[str]:
             f"{', '.join(rounded)} {have} only a resolution: state noise or tolerance, what the sensor errs "
             f"by"
         )
-    return sentences + column_unit_hints(model)
+    return [*sentences, *column_unit_hints(model)]
 
 
 def device_hints(device: str) -> tuple[str, ...]:
@@ -91,18 +91,16 @@ def device_hints(device: str) -> tuple[str, ...]:
     return ()
 
 
-def column_unit_hints(model: LinearSystem) -> list[str]:
-    """Return a sentence on each signal whose unit is another one than that in the name of its column."""
-    sentences = []
+def column_unit_hints(model: LinearSystem) -> Iterator[str]:
+    """Yield a sentence on each signal whose unit is another one than that in the name of its column."""
     for signal, unit in model.units.items():
         column = model.column(signal)
         other = without_unit(column)[1]
         if other and not same_unit(unit, other):
-            sentences.append(
+            yield (
                 f"the model has {signal} in {unit}, and its column {column!r} is in {other}: say in one of "
                 f"them what the numbers are"
             )
-    return sentences
 
 
 def outgrown_by(relations: Relations, name: str) -> bool:

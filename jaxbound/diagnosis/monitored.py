@@ -97,16 +97,9 @@ class MonitorResult(Result):
 
     def judged(self, at: tuple[int, ...] | slice = ()) -> Judged:
         """Return the verdicts of one recording, or of some samples, with those of each test."""
-        return (
-            super()
-            .judged(at)
-            ._replace(
-                by=self.by[at],
-                names=self.names,
-                statuses=self.statuses[at],
-                test_margins=self.test_margins[at],
-            )
-        )
+        judged = super().judged(at)
+        by, statuses, margins = self.by[at], self.statuses[at], self.test_margins[at]
+        return judged._replace(by=by, names=self.names, statuses=statuses, test_margins=margins)
 
     def measured(self, where: np.ndarray) -> np.ndarray:
         """Return the margins (..., T) with exact ones where (..., T) bool says."""

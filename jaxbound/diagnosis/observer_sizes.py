@@ -78,8 +78,7 @@ def time_constants(model: LinearSystem) -> list[float]:
         return []
     poles = np.abs(np.linalg.eigvals(np.array(model.A, float)))
     poles = poles[poles > 0]
-    constants: list[float] = np.where(poles > STEADY, np.inf, -1 / np.log(np.minimum(poles, STEADY))).tolist()
-    return constants
+    return list(np.where(poles > STEADY, np.inf, -1 / np.log(np.minimum(poles, STEADY))).tolist())
 
 
 def _recorded(model: LinearSystem, fault: Fault, course: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

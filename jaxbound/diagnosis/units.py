@@ -7,6 +7,7 @@ change that makes nearly all of them consistent is worth a sentence. A dead sign
 """
 
 import itertools
+from collections.abc import Iterator
 from functools import partial, singledispatch
 from typing import NamedTuple, TypeAlias
 
@@ -162,10 +163,7 @@ def _consistent(relations: ParityRelation, converted: np.ndarray) -> np.ndarray:
 
 
 def _best(
-    model: LinearSystem,
-    tries: list[tuple[Group, Conversion]],
-    windows: np.ndarray,
-    share: np.ndarray,
+    model: LinearSystem, tries: list[tuple[Group, Conversion]], windows: np.ndarray, share: np.ndarray
 ) -> int | None:
     """Return the number of the conversion to speak of: of those that explain most, the one whose outputs are
     nearest to rest; None where none explains enough.
@@ -235,15 +233,13 @@ def _groups(model: LinearSystem) -> list[Group]:
     return list(dict.fromkeys(groups))[:GROUPS]
 
 
-def _exchanges(model: LinearSystem) -> list[Group]:
-    """Return groups of signal numbers whose halves may stand in each other's columns: each two, and where
+def _exchanges(model: LinearSystem) -> Iterator[Group]:
+    """Yield groups of signal numbers whose halves may stand in each other's columns: each two, and where
     there are as many, all inputs and all outputs.
     """
-    groups: list[Group] = []
-    groups += itertools.islice(itertools.combinations(range(model.m + model.p), 2), GROUPS)
+    yield from itertools.islice(itertools.combinations(range(model.m + model.p), 2), GROUPS)
     if model.m == model.p > 1:
-        groups.append(tuple(range(2 * model.m)))
-    return groups
+        yield tuple(range(2 * model.m))
 
 
 def _changed(signals: np.ndarray, group: Group, conversion: Conversion) -> np.ndarray:

@@ -6,7 +6,7 @@ joins one that is on or was on a moment ago, or ends one as an opposite jump. An
 that had begun, and the stretch that is on with them: what follows begins anew.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
@@ -209,17 +209,15 @@ class Watch:
         self.samples += count
         self.before = np.zeros(min(self.rule.n - 1, len(self.before) + count), bool)
 
-    def _acknowledgements(self, seen: Seen) -> list[tuple[float, int, int]]:
-        """Return (time, number of the sample at which it is known, that of the first sample behind it) of
+    def _acknowledgements(self, seen: Seen) -> Iterator[tuple[float, int, int]]:
+        """Yield (time, number of the sample at which it is known, that of the first sample behind it) of
         each acknowledgement that may end an alarm in some samples.
         """
         if not self.acknowledged.is_given or not (self.alarms or seen.fault.any()) or not len(seen.fault):
-            return []
-        found = []
+            return
         for instant in self.acknowledged.between(float(seen.instant[0]), float(seen.instant.max())):
             known = int(np.argmax(seen.instant >= instant))
-            found.append((instant, known, known + int(seen.instant[known] == instant)))
-        return found
+            yield instant, known, known + int(seen.instant[known] == instant)
 
     def _acknowledge(self, instant: float, known: int) -> None:
         """End the alarms that had begun at a time, as is known at a sample.

@@ -64,11 +64,7 @@ class Watching:
         return self.u[first:stop], self.y[first:stop]
 
     def whole(
-        self,
-        verdicts: Verdicts,
-        instants: np.ndarray | None,
-        result: Any,
-        recording: tuple[int, ...] = (),
+        self, verdicts: Verdicts, instants: np.ndarray | None, result: Any, recording: tuple[int, ...] = ()
     ) -> list[Alarm]:
         """Return the alarms of a recording that comes as one, in order of time. instants: as for `follow`;
         result, recording: see `Alarm`.

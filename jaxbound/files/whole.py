@@ -12,9 +12,15 @@ from jaxbound.files.disk import sync as force
 from jaxbound.files.disk import sync_folder
 from jaxbound.files.locks import let_go, locked, refuse_link
 
-__all__ = ["UNFINISHED", "whole"]
+__all__ = ["UNFINISHED", "put", "whole"]
 
 UNFINISHED = ".jaxbound-part"  # ends the name of a file that is being written
+
+
+def put(path: str | PathLike[str], data: bytes, links: bool = True) -> None:
+    """Write bytes to a file, all or nothing; arguments and errors as of `whole`."""
+    with whole(path, links=links) as file:
+        file.write(data)
 
 
 @contextmanager

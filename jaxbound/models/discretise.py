@@ -88,8 +88,7 @@ def _square(matrix: np.ndarray, constant: np.ndarray) -> np.ndarray:
 def _largest(g: Affine) -> np.ndarray:
     """Return the bounds (k, q) of |shift + change zeta| over the box."""
     middle, radius = (g.low + g.high) / 2, (g.high - g.low) / 2
-    largest: np.ndarray = abs(g.shift + g.change @ middle) + abs(g.change) @ radius
-    return largest
+    return np.asarray(abs(g.shift + g.change @ middle) + abs(g.change) @ radius)
 
 
 def decimals(g: Affine, error: Fraction | int = 0) -> Affine:

@@ -1,9 +1,9 @@
 """Faults to put into a simulation."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 from jaxbound.recordings.expressions import missing_column
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.objects import readable
 
 __all__ = ["Fault", "refuse_unknown_signal"]
@@ -50,22 +50,7 @@ class Fault:
             raise ValueError(f"a fault needs 0 <= start < stop: start {self.start}, stop {self.stop}")
 
 
-class NamedSignals(Protocol):
-    """A model as faults see it: the names of its signals, and their columns in a recording."""
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The names of its inputs."""
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """The names of its outputs."""
-
-    def column(self, signal: str) -> str:
-        """Return the column of a recording that holds a signal."""
-
-
-def refuse_unknown_signal(model: NamedSignals, signal: str, kind: str) -> None:
+def refuse_unknown_signal(model: SignalModel, signal: str, kind: str) -> None:
     """Raise ValueError for a signal that the model does not have, or that cannot have a fault of this
     kind.
     """

@@ -54,6 +54,11 @@ class IntervalSystem:
     states: tuple[str, ...]
     moves: Moves | None = None
 
+    name = "interval system"
+    """The name in messages: an interval system has no name of its own."""
+    dt = None
+    """Of an interval system nobody knows the sampling period."""
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, IntervalSystem) and fingerprint(self) == fingerprint(other)
 
@@ -76,19 +81,9 @@ class IntervalSystem:
         return self.C.shape[0]
 
     @property
-    def name(self) -> str:
-        """The name in messages: an interval system has no name of its own."""
-        return "interval system"
-
-    @property
     def resolution(self) -> tuple[float, ...]:
         """The steps of the recorder: none is stated that could be too small."""
         return (np.inf,) * self.p
-
-    @property
-    def dt(self) -> None:
-        """The sampling period: not stated."""
-        return None
 
     @property
     def columns(self) -> dict[str, str]:

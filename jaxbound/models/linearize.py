@@ -173,12 +173,7 @@ def _in_words(names: Sequence[str], box: Ends) -> str:
 
 def _nonzero_parts(on_states: np.ndarray, on_outputs: np.ndarray, n: int) -> dict[str, list[list[Fraction]]]:
     """Return {letter: coefficients} of a parameter in the matrices on which it acts."""
-    parts = {
-        "A": on_states[:, :n],
-        "B": on_states[:, n:],
-        "C": on_outputs[:, :n],
-        "D": on_outputs[:, n:],
-    }
+    parts = {"A": on_states[:, :n], "B": on_states[:, n:], "C": on_outputs[:, :n], "D": on_outputs[:, n:]}
     return {letter: part.tolist() for letter, part in parts.items() if (part != 0).any()}
 
 

@@ -49,14 +49,6 @@ class Entry:
     number: int = 0
 
 
-def _read_raw(field: str, where: str, value: object) -> object:
-    return value  # LinearSystem says what is wrong with it
-
-
-def _read_lags(field: str, where: str, value: object) -> list[Any]:
-    return as_list(field, value)
-
-
 def _read_names(field: str, where: str, value: object) -> list[Any]:
     return [TEXT.read(field, where, name) for name in as_list(field, value)]
 
@@ -79,12 +71,8 @@ def _spelled_states(states: list[tuple[str, str | None]]) -> str:
     return in_list(texts)
 
 
-def _spelled_whole(x: int) -> str:
-    return str(x)
-
-
-WHOLE = ValueKind(_read_raw, _spelled_whole)
-LAGS = ValueKind(_read_lags, lambda lags: in_list(map(str, lags)))
+WHOLE = ValueKind(lambda field, where, value: value, str)  # LinearSystem says what is wrong with it
+LAGS = ValueKind(lambda field, where, value: as_list(field, value), lambda lags: in_list(map(str, lags)))
 NAMES = ValueKind(_read_names, lambda names: in_list(map(TEXT.spell, names)))
 STATES = ValueKind(_read_states, _spelled_states)
 

@@ -12,7 +12,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxbound.files.whole import whole
+from jaxbound.files.whole import put
 from jaxbound.models.filevalues import NUMBER, TEXT, number_text
 from jaxbound.models.modelchanges import changes_between, with_changes
 from jaxbound.models.modelfields import LISTS, Entry, model_arguments, value_texts
@@ -118,8 +118,7 @@ def save_model(model: LinearSystem, path: str | PathLike[str]) -> None:
     """
     if not isinstance(model, LinearSystem):
         raise TypeError(f"save_model needs a LinearSystem, not {type(model).__name__}")
-    with whole(path) as f:
-        f.write(model_text(model).encode())
+    put(path, model_text(model).encode())
 
 
 def _parsed(text: str, folder: Path | None) -> LinearSystem:

@@ -237,10 +237,7 @@ def _magnitude(field: str, stated: Number | None) -> Fraction | None:
 
 
 def named_faults(
-    given: Iterable[NamedFault],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    states: Sequence[str],
+    given: Iterable[NamedFault], inputs: Sequence[str], outputs: Sequence[str], states: Sequence[str]
 ) -> tuple[NamedFault, ...]:
     """Return the named faults of a model, checked against the names of its signals and states.
 

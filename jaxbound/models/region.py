@@ -161,8 +161,7 @@ class Region:
         samples = np.asarray(u)[..., :inputs].reshape(-1, inputs)
         least, most = _extreme(np.fmin, samples), _extreme(np.fmax, samples)
         beyond = (least < self.lo - self.tolerated) | (most > self.hi + self.tolerated)
-        leaving: list[int] = np.flatnonzero(beyond).tolist()
-        return leaving
+        return list(np.flatnonzero(beyond).tolist())
 
     def _excess(self, x: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (excess of windows in widths of the range, the sample that has it) of an input (..., T)."""

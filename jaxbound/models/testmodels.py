@@ -1,6 +1,5 @@
 """The model that a test of a monitor rests on: that of the file, with what is stated for this test alone."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -32,7 +31,7 @@ def model_of(model: LinearSystem, test: StatedTest) -> LinearSystem:
     own = model.replace(tests=None)
     try:
         if test.changes:
-            own = _changed(own, test.changes)
+            own = LinearSystem(**model_arguments(with_changes(model_document(own), test.changes)))
         own = _widened(own, test.factor)
     except (ValueError, TypeError) as e:
         raise ValueError(f"the model of test {test.name!r}: {e}") from None
@@ -61,11 +60,6 @@ def with_tests(model: LinearSystem) -> LinearSystem:
     """
     models = [model_of(model, test) for test in model.tests]
     return watched(model, models, [test.when for test in model.tests])
-
-
-def _changed(model: LinearSystem, changes: Mapping[str, Any]) -> LinearSystem:
-    """Return a model with fields of a model file that stand in place of its own."""
-    return LinearSystem(**model_arguments(with_changes(model_document(model), changes)))
 
 
 def _widened(model: LinearSystem, factor: Fraction) -> LinearSystem:

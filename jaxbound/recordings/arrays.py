@@ -11,12 +11,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxbound.recordings.expressions import (
-    Expression,
-    derived,
-    expression,
-    fails,
-)
+from jaxbound.recordings.expressions import Expression, derived, expression, fails
 from jaxbound.recordings.factors import (
     Factor,
     by_name,
@@ -261,7 +256,7 @@ def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, np.ndarra
     if condition is not None and cleaned:
         excluded = fails(computed(condition, cleaned, "the recording"))
     refuse_odd(odd, excluded, row)
-    hints = error_hints(odd, excluded, row)
+    hints = list(error_hints(odd, excluded, row))
     if condition is not None:
         hints += unsaid_hints(odd, condition.columns, row)
     return cleaned.get("u", u), cleaned.get("y", y), excluded, hints

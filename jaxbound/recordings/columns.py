@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 __all__ = [
+    "Arrow",
     "categories",
     "from_arrow",
     "header_line",
@@ -30,6 +31,8 @@ __all__ = [
     "write_rows",
 ]
 
+Arrow: TypeAlias = "pa.Array"
+"""A column as pyarrow has it, which is imported where one is made."""
 UNITS = ("s", "ms", "us", "ns")
 """Of a time stamp: the first that it is a whole number of is written."""
 

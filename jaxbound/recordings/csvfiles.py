@@ -4,11 +4,11 @@ names.
 
 from os import PathLike
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO
 
 import numpy as np
 
-from jaxbound.recordings.columns import to_arrow, valid
+from jaxbound.recordings.columns import Arrow, to_arrow, valid
 from jaxbound.recordings.counting import read_numbers
 from jaxbound.recordings.csvtext import Layout, above_header, sniff
 from jaxbound.recordings.linetext import Cells, LineReader, Opened, refuse_infinite
@@ -21,9 +21,6 @@ from jaxbound.recordings.source import Progress, Source, with_hints
 from jaxbound.recordings.thousands import all_grouped, in_doubt, may_be_grouped
 from jaxbound.recordings.timestamps import parse_stamps
 from jaxbound.text.progress import reporter
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 __all__ = ["CsvFile"]
 
@@ -108,7 +105,7 @@ def _refuse_thousands(reader: LineReader, opened: Opened, cells: Cells) -> None:
             layout.hints.append(f"{decimals}: if points are for thousands, write it without them")
 
 
-def _written_times(layout: Layout, plan: Wanted, cells: Cells) -> "pa.Array | None":
+def _written_times(layout: Layout, plan: Wanted, cells: Cells) -> "Arrow | None":
     """Return the times as they stand in the file, None where there are none; refuse a row without."""
     if plan.time is None:
         return None
@@ -125,7 +122,7 @@ def _written_times(layout: Layout, plan: Wanted, cells: Cells) -> "pa.Array | No
 
 
 def _times_of(
-    layout: Layout, plan: Wanted, written: "pa.Array | None", cells: Cells, model: SignalModel
+    layout: Layout, plan: Wanted, written: "Arrow | None", cells: Cells, model: SignalModel
 ) -> _FileTimes:
     """Return the times of all rows; refuse a file without any where the model has no dt."""
     dt = model.dt

@@ -192,8 +192,7 @@ class Expression:
                 pairs = zip(node.ops, parts[:-1], parts[1:], strict=True)
                 return reduce(np.logical_and, [self._compared(op, a, b) for op, a, b in pairs])
             case ast.UnaryOp(op=ast.Not()):
-                negated: np.ndarray = np.logical_not(np.asarray(parts[0]))
-                return negated
+                return np.asarray(np.logical_not(np.asarray(parts[0])))
             case ast.UnaryOp() | ast.BinOp():
                 return ARITHMETIC[type(node.op)](*map(_as_number, parts))
         raise AssertionError(f"{node} was let through")
@@ -266,8 +265,7 @@ def _operands(node: ast.expr) -> Sequence[ast.expr]:
 
 def fails(values: np.ndarray) -> np.ndarray:
     """Return (N,) bool: where a condition with these values does not hold, or has none."""
-    failing: np.ndarray = np.nan_to_num(values) == 0
-    return failing
+    return np.asarray(np.nan_to_num(values) == 0)
 
 
 def is_expression(column: str) -> bool:

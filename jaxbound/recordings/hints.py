@@ -1,6 +1,6 @@
 """Hints for the owner of a recording: missing samples, a recorder that rounds, too few samples."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -38,8 +38,8 @@ def refuse_short(source: object, samples: int | None, horizon: int | None) -> No
 
 def missing_hints(
     model: Named, u: np.ndarray, y: np.ndarray, excluded: np.ndarray | None = None
-) -> list[str]:
-    """Return a sentence for each signal with missing samples. Args: u (T, m), y (T, p); excluded (T,) bool:
+) -> Iterator[str]:
+    """Yield a sentence for each signal with missing samples. Args: u (T, m), y (T, p); excluded (T,) bool:
     samples that do not count.
     """
     if excluded is not None:
@@ -53,41 +53,35 @@ def missing_samples(model: Named, u: np.ndarray, y: np.ndarray) -> dict[str, int
     return dict(zip((*known(model), *model.outputs), missing, strict=True))
 
 
-def missing_sentences(model: Named, missing: Mapping[str, int], samples: int) -> list[str]:
-    """Return a sentence for each signal of which samples are missing: what is claimed of windows around."""
-    sentences: list[str] = []
+def missing_sentences(model: Named, missing: Mapping[str, int], samples: int) -> Iterator[str]:
+    """Yield a sentence for each signal of which samples are missing: what is claimed of windows around."""
     for name, count in missing.items():
         if not count:
             continue
         claim = "the windows around them are judged without them"
         if name in model.inputs:
             claim = WITHOUT_INPUT
-        sentences.append(f"{count} of {samples} samples of {name} are missing: {claim}")
-    return sentences
+        yield f"{count} of {samples} samples of {name} are missing: {claim}"
 
 
-def rounding_hints(model: Named, y: np.ndarray) -> list[str]:
-    """Return sentences on outputs that the recorder seems to round more than the model states.
+def rounding_hints(model: Named, y: np.ndarray) -> Iterator[str]:
+    """Yield sentences on outputs that the recorder seems to round more than the model states.
 
     Args:
         model: with .resolution, half a step of each output; without it nothing is stated. y: (T, p).
     """
     resolution: Sequence[float] | None = getattr(model, "resolution", None)
     if resolution is None:
-        return []
+        return
     outputs: dict[str, list[str]] = {}
     for i, name in enumerate(model.outputs):
         step = recorded_step(y[:, i])
         if step and float(resolution[i]) < step / 2 * (1 - 1e-9):
             outputs.setdefault(f"{step:.6g}", []).append(name)
-    sentences: list[str] = []
     for written, names in outputs.items():
         multiple = f"every sample of {listed(names, str)} is a multiple of {written}"
         advice = f"add `resolution = {float(written) / 2:.6g}` there in the model file"
-        sentences.append(
-            f"{multiple}, more than the resolution that the model states: if the recorder rounds, {advice}"
-        )
-    return sentences
+        yield f"{multiple}, more than the resolution that the model states: if the recorder rounds, {advice}"
 
 
 def recorded_step(x: np.ndarray) -> float:

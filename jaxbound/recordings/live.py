@@ -54,11 +54,6 @@ class LiveSource(Source):
         named = NAMED.fullmatch(data)
         return named is not None and Path(named[1]).is_file()
 
-    @classmethod
-    def digest(cls, data: object) -> None:
-        """Return None: what was read is gone."""
-        return None
-
     @property
     def label(self) -> str:
         """The name of the function; of an iterator its kind."""

@@ -7,12 +7,11 @@ samples is the same however the recording is cut.
 from collections.abc import Iterator
 from functools import cached_property, reduce
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxbound.recordings.clockintervals import seconds_of
-from jaxbound.recordings.columns import from_arrow
+from jaxbound.recordings.columns import Arrow, from_arrow
 from jaxbound.recordings.means import (
     Grid,
     TooShort,
@@ -29,9 +28,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import PartSource, Progress, Source, with_hints
 from jaxbound.recordings.timestamps import SECOND
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 __all__ = ["MeansSource", "PartMeans", "means_source"]
 
@@ -152,7 +148,7 @@ class PartMeans(PartSource, MeansSource):
         stamps = self.grid.part(0, 1).stamps
         return None if stamps is None else stamps[0]
 
-    def times(self, start: int, written: "pa.Array") -> tuple[np.ndarray, np.ndarray | None]:
+    def times(self, start: int, written: Arrow) -> tuple[np.ndarray, np.ndarray | None]:
         """Return (seconds, datetime64[ns] or None) of a column of times of means."""
         times = from_arrow(written)
         if self.zero is None:

@@ -4,7 +4,7 @@ A spreadsheet's error is a missing sample, and is counted. Other words are refus
 first, unless `where` leaves their rows out: those may hold anything.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -38,9 +38,10 @@ class OddCells(NamedTuple):
         """Return those that are errors of a spreadsheet, or the other words, in rows that `where`, (N,) bool
         or None, does not leave out.
         """
-        pairs = zip(self.rows.tolist(), self.words, strict=True)
-        chosen = [(k, word) for k, word in pairs if (word in ERRORS) == errors]
-        chosen = [(k, word) for k, word in chosen if excluded is None or not excluded[k]]
+        chosen = []
+        for k, word in zip(self.rows.tolist(), self.words, strict=True):
+            if (word in ERRORS) == errors and (excluded is None or not excluded[k]):
+                chosen.append((k, word))
         return OddCells(np.array([k for k, _ in chosen], np.int64), [word for _, word in chosen])
 
 
@@ -86,9 +87,8 @@ def refuse_odd(odd: Odd, excluded: np.ndarray | None, row: Callable[[int], str])
     raise ValueError(sentence)
 
 
-def error_hints(odd: Odd, excluded: np.ndarray | None, row: Callable[[int], str]) -> list[str]:
-    """Return a sentence for each column with errors of a spreadsheet in rows that count; as `refuse_odd`."""
-    sentences: list[str] = []
+def error_hints(odd: Odd, excluded: np.ndarray | None, row: Callable[[int], str]) -> Iterator[str]:
+    """Yield a sentence for each column with errors of a spreadsheet in rows that count; as `refuse_odd`."""
     for column, cells in odd.items():
         errors = cells.among(excluded, errors=True)
         if not errors.words:
@@ -97,20 +97,17 @@ def error_hints(odd: Odd, excluded: np.ndarray | None, row: Callable[[int], str]
         if len(errors.words) == 1:
             one = f"one cell of column {column!r} holds"
         first = f"the first {errors.words[0]} in {row(int(errors.rows[0]))}"
-        sentences.append(f"{one} an error of a spreadsheet, {first}: missing samples")
-    return sentences
+        yield f"{one} an error of a spreadsheet, {first}: missing samples"
 
 
-def unsaid_hints(odd: Odd, columns: Sequence[str], row: Callable[[int], str]) -> list[str]:
-    """Return a sentence for each column of the condition in which words leave open whether a row counts."""
-    sentences: list[str] = []
+def unsaid_hints(odd: Odd, columns: Sequence[str], row: Callable[[int], str]) -> Iterator[str]:
+    """Yield a sentence for each column of the condition in which words leave open whether a row counts."""
     for column in columns:
         cells = odd.get(column)
         if cells is not None and cells.words:
             count = f"{len(cells.words)} cells of column {column!r}, in the condition, hold no number"
             first = f"the first {cells.words[0][:LONGEST]!r} in {row(int(cells.rows[0]))}"
-            sentences.append(f"{count}, {first}: their rows are left out")
-    return sentences
+            yield f"{count}, {first}: their rows are left out"
 
 
 def odd_of_frame(cells: "pd.Series") -> tuple["pd.Series", OddCells]:

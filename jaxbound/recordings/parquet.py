@@ -35,12 +35,7 @@ from jaxbound.recordings.seams import period_of, rows_apart
 from jaxbound.recordings.selection import NO_TIME, Wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import PROBE, PartSource
-from jaxbound.recordings.timestamps import (
-    in_ns,
-    iso_stamps,
-    since_epoch,
-    time_label,
-)
+from jaxbound.recordings.timestamps import in_ns, iso_stamps, since_epoch, time_label
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -215,10 +215,7 @@ def _refuse_no_times(column: str, kind: "pa.DataType") -> None:
 
 
 def plan_of(
-    names: Sequence[str],
-    types: Mapping[str, "pa.DataType"],
-    model: SignalModel,
-    dated: Container[str] = (),
+    names: Sequence[str], types: Mapping[str, "pa.DataType"], model: SignalModel, dated: Container[str] = ()
 ) -> Wanted:
     """Return the Wanted of a file with these columns; the time may be an index without a name."""
     import pyarrow as pa

@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial, reduce
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from jaxbound.recordings.columns import to_arrow
+from jaxbound.recordings.columns import Arrow, to_arrow
 from jaxbound.recordings.counting import Counting, Numbers, numbers_of
 from jaxbound.recordings.csvlines import BOM, split_lines
 from jaxbound.recordings.csvtext import BLANK, UNENDED, is_number, sniff
@@ -26,9 +26,6 @@ from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, digests_of
 from jaxbound.recordings.thousands import Doubt
 from jaxbound.recordings.timestamps import parse_stamps, since_epoch
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 __all__ = ["PipeText"]
 
@@ -540,7 +537,7 @@ class PipeText(Stream):
         if self.unit_known and counting.hint:
             self.complain("hint", counting.hint)
 
-    def _text_times(self, cells: "pa.Array") -> Times:
+    def _text_times(self, cells: Arrow) -> Times:
         """Return times that are written as text; they are read behind the first and the last, by which the
         order of day and month stays what it was.
         """

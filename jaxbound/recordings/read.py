@@ -113,11 +113,6 @@ class Arrays(Source):
         """Return whether data are no path."""
         return not isinstance(data, str | PathLike)
 
-    @classmethod
-    def digest(cls, data: object) -> None:
-        """Return None: nothing on a disk will be the same later."""
-        return None
-
     def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording."""
         if isinstance(self.data, tuple):
@@ -134,11 +129,6 @@ class ReadOnce(Source):
     def takes(cls, data: object) -> bool:
         """Return whether data are a path that is neither a file nor a folder."""
         return isinstance(data, str | PathLike) and not Path(data).is_file() and not Path(data).is_dir()
-
-    @classmethod
-    def digest(cls, data: object) -> None:
-        """Return None: what was read is gone."""
-        return None
 
     def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording of the bytes in it, of whatever kind."""

@@ -6,7 +6,7 @@ recording larger than memory is cut exactly as one in memory.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -381,15 +381,13 @@ def irregular(
     return sentence
 
 
-def seam_hints(clock: Clock, label: Callable[[int], str], where: Callable[[int], str]) -> list[str]:
-    """Return one sentence a kind of seam: how many, the worst or the first, and what became of it. Arguments
+def seam_hints(clock: Clock, label: Callable[[int], str], where: Callable[[int], str]) -> Iterator[str]:
+    """Yield one sentence a kind of seam: how many, the worst or the first, and what became of it. Arguments
     as for `irregular`.
     """
-    sentences: list[str] = []
     for seam in sorted(clock.seams, key=lambda s: KINDS.index(s.kind)):
         one, many = SENTENCES[seam.kind]
         sentence = one if seam.count == 1 else many
         at, size = f"{where(seam.sample)} ({label(seam.sample)})", f"{abs(seam.step):.6g} s"
         event = sentence.format(n=seam.count, at=at, size=size)
-        sentences.append(f"{event}: the recording is split there, and windows across are MISSING")
-    return sentences
+        yield f"{event}: the recording is split there, and windows across are MISSING"

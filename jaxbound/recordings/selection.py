@@ -238,8 +238,7 @@ def time_column(
 
 def _with_stamps(free: Sequence[str], dated: Callable[[str], str]) -> list[str]:
     """Return the column that holds time stamps, of a day and a clock that of the clock; refuse several."""
-    stamps = {name: dated(name) for name in free}
-    stamps = {name: kind for name, kind in stamps.items() if kind in STAMPS}
+    stamps = {name: kind for name, kind in zip(free, map(dated, free), strict=True) if kind in STAMPS}
     if sorted(stamps.values()) == ["clock", "day"]:
         return [name for name, kind in stamps.items() if kind == "clock"]
     if len(stamps) > 1:
@@ -250,11 +249,7 @@ def _with_stamps(free: Sequence[str], dated: Callable[[str], str]) -> list[str]:
 
 
 def _day_and_clock(
-    time: str,
-    names: Sequence[str],
-    free: Sequence[str],
-    dated: Callable[[str], str],
-    dt: float | None,
+    time: str, names: Sequence[str], free: Sequence[str], dated: Callable[[str], str], dt: float | None
 ) -> tuple[str | None, str]:
     """Return (the column of the day or None, the time): the other half of a time stamp stands beside it, or
     is called like a time.

@@ -24,8 +24,6 @@ from jaxbound.text.progress import Progress, reporter
 
 __all__ = ["KINDS", "PROBE", "PartSource", "Progress", "Source", "register", "with_hints"]
 
-"""Called with the share of the work done."""
-
 PROBE = 100_000  # samples that show the sampling period, the unit of time and the rounding of the recorder
 KINDS: list[type["Source"]] = []  # of users; the last that takes the data opens them
 
@@ -96,10 +94,12 @@ class Source:
 
     @classmethod
     def digest(cls, data: object) -> str | None:
-        """Return the digest of the data, by which they are known again; None where what was read is gone. See
-        `contents`.
+        """Return the digest of the data, by which they are known again; None where what was read is gone, as
+        of a pipe or of arrays. See `contents`.
         """
-        return content(Path(str(data)))
+        if isinstance(data, str | PathLike) and (Path(data).is_file() or Path(data).is_dir()):
+            return content(Path(data))
+        return None
 
     def behind(self, before: Unfinished | None) -> "Source":
         """Return the source that goes on behind the `rest` of a recording before."""

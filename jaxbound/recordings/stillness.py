@@ -12,7 +12,7 @@ to, so it counts as frozen only if it changes from sample to sample everywhere e
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -256,18 +256,16 @@ def windows_inside(runs: Runs, horizon: int) -> int:
     return inside + max(long - int(runs.counts[CAP]) * horizon, 0) + max(last - horizon, 0)
 
 
-def still_hints(model: Named, u: np.ndarray, y: np.ndarray, label: Callable[[int], str]) -> list[str]:
-    """Return sentences on all signals of a recording, u (T, m) and y (T, p), that stand still. Other
+def still_hints(model: Named, u: np.ndarray, y: np.ndarray, label: Callable[[int], str]) -> Iterator[str]:
+    """Yield sentences on all signals of a recording, u (T, m) and y (T, p), that stand still. Other
     arguments as for `signal_hints`.
     """
-    hints: list[str] = []
     for name, signal in zip(model.outputs, y.T, strict=True):
-        hints += signal_hints(name, follow_runs(Runs(), np.ascontiguousarray(signal)), label)
+        yield from signal_hints(name, follow_runs(Runs(), np.ascontiguousarray(signal)), label)
     for name, signal in zip(known(model), u.T, strict=True):
         if name not in model.inputs:
             continue  # a factor stands still where the plant does
-        hints += signal_hints(name, follow_runs(Runs(), np.ascontiguousarray(signal)), label, driven=True)
-    return hints
+        yield from signal_hints(name, follow_runs(Runs(), np.ascontiguousarray(signal)), label, driven=True)
 
 
 def signal_hints(name: str, runs: Runs, label: Callable[[int], str], driven: bool = False) -> list[str]:

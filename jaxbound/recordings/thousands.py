@@ -8,12 +8,10 @@ length, nothing is guessed: files of one plant must not be read in two ways.
 import math
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    import pyarrow as pa
+from jaxbound.recordings.columns import Arrow
 
 __all__ = ["GROUPED", "Doubt", "all_grouped", "in_doubt", "may_be_grouped"]
 
@@ -33,7 +31,7 @@ def may_be_grouped(values: np.ndarray) -> bool:
     return bool((np.abs(thousandths - np.round(thousandths)) < 1e-6).all())
 
 
-def in_doubt(cells: "pa.Array", values: np.ndarray, sign: str, is_other: bool = False) -> list[int]:
+def in_doubt(cells: Arrow, values: np.ndarray, sign: str, is_other: bool = False) -> list[int]:
     """Return the places of two cells of a column that can be read in two ways: one with the sign, one
     without; the first alone where the sign is not the file's; [] where there is no doubt.
 
@@ -62,7 +60,7 @@ def in_doubt(cells: "pa.Array", values: np.ndarray, sign: str, is_other: bool = 
     return [first, int(beside[np.argmin(np.abs(beside - first))])]
 
 
-def all_grouped(cells: "pa.Array") -> str:
+def all_grouped(cells: Arrow) -> str:
     """Return the first cell of a column of which every number could be a whole one with points for
     thousands, "" of any other: nothing tells them from decimals.
     """
@@ -102,7 +100,7 @@ class Doubt:
         return ""
 
 
-def _where(cells: "pa.Array", pattern: str) -> np.ndarray:
+def _where(cells: Arrow, pattern: str) -> np.ndarray:
     import pyarrow.compute as pc
 
     return np.asarray(pc.match_substring_regex(cells, pattern).to_numpy(zero_copy_only=False), bool)

@@ -115,10 +115,11 @@ def _in_formats(cells: "pa.Array", where: Callable[[int], str]) -> list[tuple[st
     """Return (format, stamps) of each known format that all cells have; refuse cells without any."""
     whole, fraction = _split_fraction(cells)
     first = whole[0].as_py()
-    forms = [form for form in FORMATS if _has_format(first, form)]
-    if fraction is not None:  # of a second: none of 08:30.5 is an hour
-        forms = [form for form in forms if "%S" in form]
-    read = [(form, _stamps_in(whole, fraction, form, where)) for form in forms]
+    read = []
+    for form in FORMATS:
+        # a fraction is one of a second: none of 08:30.5 is an hour
+        if _has_format(first, form) and (fraction is None or "%S" in form):
+            read.append((form, _stamps_in(whole, fraction, form, where)))
     if not read:
         raise ValueError(
             f"{where(0)} of the time column is {cells[0].as_py()!r}: neither seconds nor a known time stamp "
@@ -368,8 +369,7 @@ def uneven_steps(time: np.ndarray, dt: float | None) -> int:
 
 def _since_first(stamps: np.ndarray) -> np.ndarray:
     """Return seconds since the first time stamp."""
-    seconds: np.ndarray = (stamps - stamps[0]) / SECOND
-    return seconds
+    return np.asarray((stamps - stamps[0]) / SECOND)
 
 
 def _rounds(stamps: np.ndarray, length: float) -> np.ndarray:

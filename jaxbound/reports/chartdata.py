@@ -5,6 +5,7 @@ of samples that were violated there.
 import contextlib
 import time as clock_time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import singledispatch
 from typing import Any, cast
 
@@ -26,7 +27,7 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.characters import clipped, printable
 
-__all__ = ["charts"]
+__all__ = ["Shown", "charts"]
 
 SIGNALS, STATES = 12, 6  # charts of signals, and of states that an observer encloses
 RELATIONS = 6  # charts of relations that no certificate combines
@@ -38,20 +39,23 @@ COMBINED = "combination of relations, in what its bounds allow"
 TITLE = 120  # characters of a relation
 
 
-def charts(
-    res: Result | Digest,
-    recording: Recording | Digest,
-    alarms: Sequence[Alarm],
-    chosen: Sequence[int],
-    why: Mapping[int, object],
-    worst: int | None,
-) -> Charts:
-    """Return the charts of a report.
+@dataclass(frozen=True)
+class Shown:
+    """The alarms of a page.
 
-    Args:
-        res: a Result of one recording, or a Digest. recording: as for `write_report`. alarms: all of them.
-        chosen: the numbers of those in the table, the deepest first. why: {number: certificate}. worst: the
-            sample at which the worst window ends, None: no window has data.
+    Fields: alarms: all of them. chosen: the numbers of those in the table, the deepest first. why: {number:
+    certificate}. worst: the sample at which the worst window ends, None: no window has data.
+    """
+
+    alarms: Sequence[Alarm] = ()
+    chosen: Sequence[int] = ()
+    why: Mapping[int, Any] = field(default_factory=dict)
+    worst: int | None = None
+
+
+def charts(res: Result | Digest, recording: Recording | Digest, shown: Shown) -> Charts:
+    """Return the charts of a report. res: a Result of one recording, or a Digest. recording: as for
+    `write_report`.
     """
     signals = signal_rows(res)[:SIGNALS]
     states = state_rows(res)
@@ -65,24 +69,24 @@ def charts(
     about = "the tightest window"
     if isinstance(res, Digest) and res.bounded:  # another one may be tighter
         about = "the window with the lowest bound"
-    near = _stretches(res, x, signals, alarms, chosen, why, worst)
-    first = chosen[0] if chosen else -1
-    shown = near[0].piece
-    spans = [alarms[i] for i in sorted(chosen)]
-    times = [[float(x(k)) for k in (alarm.start, alarm.end, alarm.worst)] for alarm in spans]
+    near = _stretches(res, x, signals, shown)
+    close, times = near[0].piece, []
+    for i in sorted(shown.chosen):
+        alarm = shown.alarms[i]
+        times.append([i, *(float(x(k)) for k in (alarm.start, alarm.end, alarm.worst))])
     return Charts(
         rows=[*_combinations(res.relations), ChartRow("margin", "margin", kind="margin"), *signals, *states],
         clock=clock,
         samples=samples,
         last=float(x(samples - 1)),
-        step=usual_step(shown.x),
+        step=usual_step(close.x),
         whole=whole,
         near=[stretch.plain() for stretch in near],
-        begin=float(shown.x[0]),
-        end=float(shown.x[-1]),
+        begin=float(close.x[0]),
+        end=float(close.x[-1]),
         about=about,
-        alarms=[[i, *at] for i, at in zip(sorted(chosen), times, strict=True)],
-        alarm=first,
+        alarms=times,
+        alarm=(*shown.chosen, -1)[0],
     )
 
 
@@ -178,31 +182,26 @@ class ChartStretch:
 
 
 def _stretches(
-    res: Result | Digest,
-    x: Callable[[int], float],
-    signals: Sequence[ChartRow],
-    alarms: Sequence[Alarm],
-    chosen: Sequence[int],
-    why: Mapping[int, object],
-    worst: int | None,
+    res: Result | Digest, x: Callable[[int], float], signals: Sequence[ChartRow], shown: Shown
 ) -> list[ChartStretch]:
     """Return the stretches around alarms, as many as patience allows, or that around the tightest window."""
-    if not chosen:
-        only = _stretch(res, x, worst or 0, signals)
-        only.combine(-1, _explained(res, worst))
+    if not shown.chosen:
+        only = _stretch(res, x, shown.worst or 0, signals)
+        only.combine(-1, _explained(res, shown.worst))
         return [only]
     begun = clock_time.perf_counter()
-    found: list[ChartStretch] = []
-    for i in chosen:
-        home = next((stretch for stretch in found if stretch.holds(alarms[i].worst)), None)
+    stretches: list[ChartStretch] = []
+    for i in shown.chosen:
+        worst = shown.alarms[i].worst
+        home = next((stretch for stretch in stretches if stretch.holds(worst)), None)
         if home is None:
             late = isinstance(res, Digest) and clock_time.perf_counter() - begun > PATIENCE
-            if len(found) == NEAR or (found and late):
+            if len(stretches) == NEAR or (stretches and late):
                 continue
-            home = _stretch(res, x, alarms[i].worst, signals)
-            found.append(home)
-        home.combine(i, why.get(i))
-    return found
+            home = _stretch(res, x, worst, signals)
+            stretches.append(home)
+        home.combine(i, shown.why.get(i))
+    return stretches
 
 
 def _stretch(

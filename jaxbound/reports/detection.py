@@ -3,7 +3,7 @@
 import contextlib
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import singledispatch
 from pathlib import Path
 from typing import Any, cast
@@ -22,11 +22,11 @@ from jaxbound.plots.result import draws_bounds, timeline_of
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
 from jaxbound.reports.causes import Cause, causes_of
-from jaxbound.reports.chartdata import charts
+from jaxbound.reports.chartdata import Shown, charts
 from jaxbound.reports.clock import shown_time
 from jaxbound.reports.monitored import monitor_sections
 from jaxbound.reports.overview import overview
-from jaxbound.reports.page import TITLE, render
+from jaxbound.reports.page import render
 from jaxbound.reports.parts import computed, distinct_relations, model_values
 from jaxbound.runs.digest import Digest
 from jaxbound.runs.endings import sizes_text
@@ -71,27 +71,20 @@ def write_report(
     tested = cast(Evidence, summary.found)
     worst = summary.worst.sample if summary.worst else None
     chosen = sorted(range(len(alarms)), key=lambda i: _depth(alarms[i]))[:ROWS]
-    why = _certified(res, alarms, chosen)
+    shown = Shown(alarms, chosen, _certified(res, alarms, chosen), worst)
     causes = causes_of(model, alarms, chosen)
     extra = [*monitor_sections(res, recording.label), *extra]
-    rows = _alarm_rows(res, recording, alarms, chosen, why, causes)
-    drawn = charts(res, recording, alarms, chosen, why, worst)
+    rows = list(_alarm_rows(res, recording, shown, causes))
+    drawn = charts(res, recording, shown)
     template, values = about(relations)
     page = render(
         template,
         name=model.name,
         verdict=summary.verdict,
-        title=TITLE[summary.verdict],
         sentence=summary.sentence,
+        summary=summary,
+        tested=tested,
         recording=recording,
-        samples=tested.samples,
-        counts=summary.counts,
-        warm_up=tested.warm_up,
-        horizon=relations.horizon,
-        decided=summary.decided,
-        training=tested.training,
-        beyond=tested.outside is not None and tested.outside.windows > 0,
-        hints=summary.hints,
         extra=extra,
         charts=drawn,
         picture=_picture(res, recording, alarms),
@@ -105,11 +98,9 @@ def write_report(
         suspected=any(row[SUSPECT] for row in rows),
         caused=bool(causes),
         uncaused=len(chosen) - len(causes),
-        alarm_total=summary.alarms,
         most=ROWS,
         sizes=sizes_text(res, summary.sizes),
         part=part,
-        method=res.method,
         model=model_values(model, cast(Mapping[str, np.ndarray], relations.bounds)),
         shown={status.name: shown_name(status, relations.observes) for status in Status},
         observes=relations.observes,
@@ -144,45 +135,36 @@ def _depth(alarm: Alarm) -> float:
 
 
 def _alarm_rows(
-    res: Result | Digest,
-    recording: Recording | Digest,
-    alarms: Sequence[Alarm],
-    chosen: Sequence[int],
-    why: Mapping[int, Any],
-    causes: Mapping[int, Cause],
-) -> list[tuple[object, ...]]:
-    """Return the rows of the deepest alarms in order of time."""
-    rows: list[tuple[object, ...]] = []
-    for i in sorted(chosen):
-        a = alarms[i]
+    res: Result | Digest, recording: Recording | Digest, shown: Shown, causes: Mapping[int, Cause]
+) -> Iterator[tuple[object, ...]]:
+    """Yield the rows of the deepest alarms in order of time."""
+    for i in sorted(shown.chosen):
+        a, why = shown.alarms[i], shown.why.get(i)
         lasts = float(recording.time[a.end] - recording.time[a.start]) + (res.relations.model.dt or 0.0)
         needed, wrong, violated, since = "", "", "", ""
         if not math.isnan(a.depth):
             needed = f"× {factor(1 - a.depth)}"
-        if i in why:
-            wrong, violated = _sensor_errors(why[i]), why[i].relation
+        if why is not None:
+            wrong, violated = _sensor_errors(why), why.relation
         if isinstance(res, ObserverResult):
             since = _since(res, recording, a.worst)
         begun, ended = recording.label(a.start), recording.label(a.end)
-        rows.append(
-            (
-                i + 1,
-                begun,
-                ended,
-                duration(lasts),
-                a.windows,
-                _suspects(a, why.get(i)),
-                needed,
-                wrong,
-                violated,
-                a.ended,
-                since,
-                _outside(a),
-                a.test,
-                causes.get(i),
-            )
+        yield (
+            i + 1,
+            begun,
+            ended,
+            duration(lasts),
+            a.windows,
+            _suspects(a, why),
+            needed,
+            wrong,
+            violated,
+            a.ended,
+            since,
+            _outside(a),
+            a.test,
+            causes.get(i),
         )
-    return rows
 
 
 def _suspects(alarm: Alarm, why: WindowCertificate | None) -> str:

@@ -4,7 +4,7 @@ import shlex
 import time
 from collections.abc import Sequence
 
-from jaxbound.reports.page import TITLE, render
+from jaxbound.reports.page import render
 from jaxbound.runs.fleet import UnitResult
 
 __all__ = ["fleet_page"]
@@ -22,7 +22,6 @@ def fleet_page(ordered: Sequence[UnitResult], verdict: tuple[str, int, str], tit
         "fleet.html",
         name=title,
         verdict=kind,
-        title=TITLE[kind],
         sentence=sentence,
         written=time.strftime("%Y-%m-%d %H:%M:%S %z"),
         units=ordered,

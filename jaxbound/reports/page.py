@@ -21,6 +21,7 @@ TITLE = {
     "not tested": "Not all units could be tested",
     "too little evidence": "Too little evidence",
     "no fault": "No fault found",
+    "study": "What this monitor sees",
 }
 
 
@@ -33,8 +34,7 @@ def render(template: str, **values: object) -> str:
     Raises:
         jinja2.UndefinedError: it shows something that is not there.
     """
-    text: str = _environment().get_template(f"templates/{template}").render(**values)
-    return text
+    return str(_environment().get_template(f"templates/{template}").render(**values))
 
 
 @functools.cache

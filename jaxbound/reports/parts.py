@@ -40,13 +40,11 @@ def _origin(model: LinearSystem, field: str) -> str:
     return model.provenance.get(field, "origin not stated")
 
 
-def _headed(model: LinearSystem) -> list[str]:
-    """Return the heads of the columns of bounds, with their origins where there are bounds."""
-    heads = []
+def _headed(model: LinearSystem) -> Iterator[str]:
+    """Yield the heads of the columns of bounds, with their origins where there are bounds."""
     for field in ("tolerance", "noise", "resolution"):
         is_stated = field in model.provenance or any(getattr(model, field))
-        heads.append(f"{field} ({_origin(model, field)})" if is_stated else field)
-    return heads
+        yield f"{field} ({_origin(model, field)})" if is_stated else field
 
 
 def _signal(model: LinearSystem, kind: str, i: int) -> tuple[str, str, str, str]:

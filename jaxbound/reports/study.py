@@ -47,14 +47,13 @@ def study_page(res: StudyResult, seed: int, seconds: float) -> str:
         "study.html",
         name=res.model.name,
         verdict="study",
-        title="What this monitor sees",
         sentence=sentence(res),
         charts=plain(list(map(asdict, study_charts(res)))),
         picture=picture_of(plot_study(res)),
         others=max(len(res.trials) - FAULTS, 0),
         head=study_head(res),
         columns=COLUMNS,
-        rows=study_rows(res),
+        rows=list(study_rows(res)),
         settings=list(_settings(res, seed)),
         model=model_values(res.model, bounds),
         computed=computed(method, looked_at(res), dtype, {"study": seconds}),
@@ -77,15 +76,13 @@ def study_head(res: StudyResult) -> tuple[str, ...]:
     return (*HEAD, *(f"by {name}" for name in res.by_test))
 
 
-def study_rows(res: StudyResult) -> list[tuple[str, ...]]:
-    """Return the table of a study as texts, a tuple a row, as `study_head` names them."""
+def study_rows(res: StudyResult) -> Iterator[tuple[str, ...]]:
+    """Yield the table of a study as texts, a tuple a row, as `study_head` names them."""
     table = study_table(res)
-    rows = []
     for cells in zip(*table.values(), strict=True):
         row = dict(zip(table, cells, strict=True))
         shares = [percent(row.pop(f"share of {name}")) for name in res.by_test]
-        rows.append((*_row(SimpleNamespace(**row)), *shares))
-    return rows
+        yield *_row(SimpleNamespace(**row)), *shares
 
 
 def _row(cell: SimpleNamespace) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NoReturn, cast
+from typing import NoReturn, cast
 
 import numpy as np
 
@@ -13,15 +13,12 @@ from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.watching import Watching
 from jaxbound.estimation.validation import Validation
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.columns import to_arrow, words
+from jaxbound.recordings.columns import Arrow, to_arrow, words
 from jaxbound.recordings.sample_axis import Place
 from jaxbound.runs.summary import Evidence, evidence
-from jaxbound.runs.verdictfiles import columns_of
+from jaxbound.runs.verdictfiles import Columns, columns_of
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 __all__ = ["Validated"]
 
@@ -129,7 +126,7 @@ def _(res: Validated, alarms: Sequence[Alarm]) -> Evidence:
 
 
 @columns_of.register(Validated)
-def _(res: Validated) -> dict[str, "pa.Array"]:
+def _(res: Validated) -> Columns:
     """Return the status, for each output its faults, its band and its corrected value, and bands of states.
 
     A bound that is not known, as in the first samples, is blank.
@@ -149,7 +146,7 @@ def _(res: Validated) -> dict[str, "pa.Array"]:
     return columns
 
 
-def _band(name: str, bounds: Interval, i: int) -> dict[str, "pa.Array"]:
+def _band(name: str, bounds: Interval, i: int) -> Columns:
     """Return the two columns of the bounds of signal i."""
     lo, hi = _ends(bounds, i)
     return {f"{name}.lo": _blank(lo), f"{name}.hi": _blank(hi)}
@@ -159,6 +156,6 @@ def _ends(bounds: Interval, i: int) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(bounds.lo)[:, i], np.asarray(bounds.hi)[:, i]
 
 
-def _blank(x: np.ndarray) -> "pa.Array":
+def _blank(x: np.ndarray) -> Arrow:
     """Return numbers as a column, nothing where they are not finite."""
     return to_arrow(np.where(np.isfinite(x), x, np.nan))

@@ -4,7 +4,6 @@ true values.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -15,10 +14,10 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
 from jaxbound.reports.chart import ChartPiece, ChartRow, Charts, band_key, picture_of, plain, usual_step
 from jaxbound.reports.clock import axis_of, shown_time
-from jaxbound.reports.page import TITLE, render
+from jaxbound.reports.page import render
 from jaxbound.reports.parts import computed, model_values
 from jaxbound.reports.validated import Validated
-from jaxbound.runs.summary import Evidence, Summary
+from jaxbound.runs.summary import Summary
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import duration
 
@@ -46,15 +45,11 @@ def write_page(
         "validation.html",
         name=model.name,
         verdict=summary.verdict,
-        title=TITLE[summary.verdict],
         sentence=summary.sentence,
+        summary=summary,
+        tested=summary.found,
         recording=recording,
-        samples=len(res.y),
-        counts=summary.counts,
         shown={status.name: shown_name(status, True) for status in Status},
-        warm_up=res.horizon,
-        share=cast(Evidence, summary.found).tested,
-        hints=summary.hints,
         stretches=[_row(res, recording, *stretch) for stretch in stretches[:ROWS]],
         stretch_total=len(stretches),
         charts=drawn,

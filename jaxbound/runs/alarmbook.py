@@ -8,7 +8,7 @@ import io
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from jaxbound.diagnosis.suspects import tells_causes
 from jaxbound.diagnosis.watch import BEGINS, NUMBER, Event, Raised
 from jaxbound.diagnosis.watching import Watching
 from jaxbound.files.checkpoint import as_texts, from_texts
-from jaxbound.recordings.columns import header_line, moments, to_arrow, write_columns, write_rows
+from jaxbound.recordings.columns import Arrow, header_line, moments, to_arrow, write_columns, write_rows
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
@@ -28,9 +28,6 @@ from jaxbound.runs.loop import Quiet
 from jaxbound.runs.sink import Verdicts
 from jaxbound.runs.verdictfiles import AlarmColumns, Columns
 from jaxbound.sets.floats.status import Status
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 __all__ = ["ALARMS", "AlarmBook", "LiveAlarms", "Notice"]
 
@@ -64,7 +61,7 @@ class TimedAlarms(Watching, Quiet):
         self.written = to_arrow(self.seconds)
         self.ended: Counter[str] = Counter()
 
-    def shown(self, piece: Recording) -> "pa.Array":
+    def shown(self, piece: Recording) -> Arrow:
         """Return the times of a piece as alarms have them."""
         return piece.column
 
@@ -87,7 +84,7 @@ class TimedAlarms(Watching, Quiet):
             instants = piece.instants
         return self.follow(verdicts, instants)
 
-    def at(self, samples: np.ndarray) -> tuple["pa.Array", np.ndarray]:
+    def at(self, samples: np.ndarray) -> tuple[Arrow, np.ndarray]:
         """Return the times of samples that are known, as written and in seconds."""
         places = np.searchsorted(self.numbers, samples)
         return self.written.take(to_arrow(places)), self.seconds[places]
@@ -262,7 +259,7 @@ class LiveAlarms(TimedAlarms):
         if self.watch.is_quiet or len(self.numbers) > LATELY:
             self.forget()
 
-    def shown(self, piece: Recording) -> "pa.Array":
+    def shown(self, piece: Recording) -> Arrow:
         """Return the times of a piece as texts."""
         import pyarrow as pa
 
@@ -326,5 +323,4 @@ class LiveAlarms(TimedAlarms):
 
     def _text(self, sample: int) -> str:
         """Return the time of a sample as it is written."""
-        text: str = self.at(np.array([sample]))[0][0].as_py()
-        return text
+        return str(self.at(np.array([sample]))[0][0].as_py())

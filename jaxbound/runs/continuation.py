@@ -13,24 +13,16 @@ from dataclasses import replace
 from hashlib import blake2b
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from jaxbound.consistency.claims import CLAIMED
-from jaxbound.consistency.interface import (
-    AUTO,
-    Judged,
-    Observer,
-    Relations,
-    Verdicts,
-    window_count,
-    with_margins,
-)
+from jaxbound.consistency.interface import Judged, Observer, Relations, Verdicts, window_count, with_margins
 from jaxbound.diagnosis.result import Result, found_by
 from jaxbound.estimation.observation import State
 from jaxbound.files.checkpoint import Checkpoint
+from jaxbound.recordings.columns import Arrow
 from jaxbound.recordings.means import Unfinished
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, around
@@ -38,10 +30,8 @@ from jaxbound.recordings.selection import counted_from_start
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Source
 from jaxbound.relations.identity import identity
+from jaxbound.runs.ask import Ask
 from jaxbound.sets.floats.status import Status
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 __all__ = ["Continuation", "Joined", "followed", "joined_carries"]
 
@@ -186,21 +176,18 @@ def _refuse_former(former: Path, now: Path) -> None:
         )
 
 
-def followed(
-    observer: Observer[Any], given: Joined, outside: str = CLAIMED, margins: str = AUTO
-) -> tuple[Result, Any]:
+def followed(observer: Observer[Any], given: Joined, ask: Ask) -> tuple[Result, Any]:
     """Follow recordings behind a carry, by an observer.
 
     Args:
-        given: (..., T, .) recordings of one length, side by side, and the carry of all of them. outside,
-            margins: see `detect`.
+        given: (..., T, .) recordings of one length, side by side, and the carry of all of them.
 
     Returns:
         (Result of all of them, the carry before the last samples that `Continuation` keeps).
     """
     _, recording = observer.recording(given.recording)
     windows = window_count(recording.y.shape[:-1], observer.horizon)
-    watch = with_margins(observer.test(dtype=recording.y.dtype), margins, windows)
+    watch = with_margins(observer.test(dtype=recording.y.dtype), ask.margins, windows)
     assert watch.remembers, "an observer is its own test"
     carry = given.carry
     if carry is None:
@@ -214,7 +201,7 @@ def followed(
     pieces.append(last)
     judged = _judged(pieces, given.known)
     fresh = recording.cut(max(given.known - observer.horizon, 0), recording.samples)
-    result = found_by(watch.continued(carry), recording, judged, outside, observer)
+    result = found_by(watch.continued(carry), recording, judged, ask.outside, observer)
     return replace(result, aside=fresh.aside(observer.horizon), known=given.known), between
 
 
@@ -301,7 +288,7 @@ def _why_apart(tail: Recording, recording: Recording, model: SignalModel) -> str
     return ""
 
 
-def _arrow_bytes(column: "pa.Array") -> np.ndarray:
+def _arrow_bytes(column: Arrow) -> np.ndarray:
     """Return a pyarrow array as bytes."""
     import pyarrow as pa
 
@@ -311,7 +298,7 @@ def _arrow_bytes(column: "pa.Array") -> np.ndarray:
     return np.frombuffer(sink.getvalue(), np.uint8)
 
 
-def _from_bytes(data: np.ndarray) -> "pa.Array":
+def _from_bytes(data: np.ndarray) -> Arrow:
     import pyarrow as pa
 
     with pa.ipc.open_stream(data.tobytes()) as stream:

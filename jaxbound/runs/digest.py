@@ -39,6 +39,7 @@ from jaxbound.recordings.stillness import Runs, signal_hints, windows_inside
 from jaxbound.recordings.timestamps import time_label
 from jaxbound.relations.sentence import looked_at
 from jaxbound.runs.alarmbook import AlarmBook
+from jaxbound.runs.ask import Ask
 from jaxbound.runs.contradiction import REACHES, refuted_again
 from jaxbound.runs.counts import CountsByTest, Tally, Unwatched
 from jaxbound.runs.judges import as_judged
@@ -146,7 +147,7 @@ class Digest:
     @property
     def method(self) -> str:
         """Of the test."""
-        return self.asked.method
+        return self.asked.ask.method
 
     def _head(self) -> str:
         counts = ", ".join(f"{n} {name}" for name, n in self.counts.items() if n)
@@ -196,7 +197,7 @@ class Digest:
         UNDECIDED what was FAULT.
         """
         r = self.near(k, samples)
-        test = partial(detect, self.relations, method=self.method, outside=self.asked.outside)
+        test = partial(detect, self.relations, method=self.method, outside=self.asked.ask.outside)
         return test(r.u, r.y, starts=r.starts, margins=EXACT), r
 
     def near(self, k: int, samples: int = 600) -> Recording:
@@ -300,7 +301,7 @@ def detect_dataset(
         raise ValueError("part makes verdicts and merge reports on them: give one of the two")
     refuse_unusable()
     report = reporter(progress, "detect_dataset")
-    how = Asked(relations, method, margins, outside, overlap, chunk)
+    how = Asked(relations, Ask(method, margins=margins, outside=outside), overlap, chunk)
     if part is not None:
         with shared_folder(out, (PARTIAL,), (path,)):
             source = _source_in_parts(path, relations.model)
@@ -353,11 +354,11 @@ def digest(
     """
     report, relations = reporter(progress, "detect_dataset"), asked.relations
     region, parts = Region.of(relations), part_files(folder)
-    tally, times = Tally(relations, _seconds_at), SampleTimes(source)
+    tally, times = Tally(relations, lambda piece, k: float(piece.time[k])), SampleTimes(source)
     drawing = _Drawing(Timeline(source.samples))
     ticking = _Ticking(source.dt, times)
     rule = fitted(rule_of(alarm), relations)
-    book = AlarmBook(rule, source, relations, asked.method, alarms_csv, drawing.line.mark)
+    book = AlarmBook(rule, source, relations, asked.ask.method, alarms_csv, drawing.line.mark)
     unwatched = None
     sinks: list[Taker[Recording, Verdicts]] = [tally, ticking, drawing, book, *also]
     if relations.parts:
@@ -377,7 +378,7 @@ def digest(
     times |= named
     about = _about_signals(relations, source, tally.samples, read_runs(parts), times.label)
     margins = asked.test_of(source).margins_are
-    numbers = tally.evidence(asked.method, asked.outside, book.total, book.ended)
+    numbers = tally.evidence(asked.ask.method, asked.ask.outside, book.total, book.ended)
     bounded = margins == BOUNDS and (not numbers.counts["FAULT"] or bool(relations.parts))
     numbers = replace(numbers, aside=about.aside, at=None, margins=margins, bounded=bounded)
     event = tally.worst or tally.tightest
@@ -405,10 +406,6 @@ def digest(
     digested = replace(digested, hints=tuple(hints))
     # an alarm explains its worst window by the Digest that it was found in
     return replace(digested, alarms=[replace(alarm, result=digested) for alarm in alarms])
-
-
-def _seconds_at(piece: Recording, k: int) -> float:
-    return float(piece.time[k])
 
 
 def _wrong_units(found: Digest) -> list[str]:

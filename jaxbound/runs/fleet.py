@@ -8,7 +8,7 @@ While one unit is tested, the next ones are read.
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -19,17 +19,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from jaxbound.consistency.claims import CLAIMED
-from jaxbound.consistency.interface import AUTO, MONITOR, Relations
-from jaxbound.diagnosis.alarmrule import AlarmRule, RuleLike, rule_of
+from jaxbound.consistency.interface import Relations
+from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
-from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.blocks import recordings_of
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.testmodels import with_tests
 from jaxbound.recordings.csvlines import is_open, split_lines
 from jaxbound.recordings.csvtext import UNCLOSED, cells_of, delimiter_of
 from jaxbound.recordings.expressions import missing_column
@@ -37,9 +34,9 @@ from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.source import Progress
+from jaxbound.runs.ask import Ask
 from jaxbound.runs.continuation import Continuation, Joined, followed, joined_carries
 from jaxbound.runs.endings import concluded
-from jaxbound.runs.relations import is_monitored, relations_by
 from jaxbound.runs.summary import CODES, OUTSIDE, Summary
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.threads import inherited
@@ -50,7 +47,7 @@ from jaxbound.workers.engine import in_order, stretches_for
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Unit", "UnitResult", "detect_fleet", "fleet_verdict", "read_manifest", "worst_first"]
+__all__ = ["FleetTest", "Unit", "UnitResult", "detect_fleet", "fleet_verdict", "read_manifest", "worst_first"]
 
 COLUMNS = ("unit", "model", "recording")
 ACKNOWLEDGED = "acknowledged"
@@ -240,45 +237,52 @@ def _units(rows: Iterable[Row], folder: Path) -> list[Unit]:
     return units
 
 
+@dataclass(frozen=True)
+class FleetTest:
+    """The test of the units of a fleet.
+
+    Fields: ask: of each of them; its margins are those of the Results that pages are made from, those of
+    units are exact. alarm: the rule of alarms. min_coverage: least share of decided windows; below it, a unit
+    without FAULT has too little evidence.
+    state: folder in which continuations of units are kept; None: nowhere. The next recording of a unit, in a
+    run with the same folder, is then judged as if it followed in one file: windows look back into the one
+    before, an observer carries on, each test of a monitor does, and an interval of means that began in it is
+    ended. Where it begins more than a step later, or earlier, or an expression of the model counts from the
+    start of a recording, it begins anew, and its hints say so. The same recording again is judged as it was.
+    """
+
+    ask: Ask = Ask()
+    alarm: AlarmRule = EVERY_FAULT
+    min_coverage: float = 0.5
+    state: str | PathLike[str] | None = None
+
+    @property
+    def ahead(self) -> int:
+        """How many units are read while another is tested."""
+        if self.ask.method == SetObserver.method:
+            return SIDE
+        return AHEAD
+
+
 def detect_fleet(
     units: Sequence[Unit],
-    method: str = "joint",
-    horizon: int | None = None,
-    alarm: RuleLike = (1, 1),
-    min_coverage: float = 0.5,
-    progress: Progress | None = None,
-    lags: Sequence[int] | None = None,
+    how: FleetTest = FleetTest(),
     page: Page | None = None,
-    options: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
     client: "Client | None" = None,
-    state: str | PathLike[str] | None = None,
-    margins: str = AUTO,
-    outside: str = CLAIMED,
 ) -> Iterator[UnitResult]:
     """Test every unit; yield its UnitResult in the order of the units, each as soon as it is there.
 
     Args:
-        units: a list of Unit, as `read_manifest` returns it. method: as for `detect`, or "observer". horizon,
-            lags: as for `parity_relations`, or `observer`, which takes no lags. options: more for `observer`.
-        alarm: (k, n), an alarm needs k FAULT among n windows; or an AlarmRule.
-        min_coverage: least share of decided windows; below it, a unit without FAULT has too little evidence.
-        progress: called with the share of the units done.
+        units: a list of Unit, as `read_manifest` returns it. how: they are tested.
         page: called with (unit, Result, Recording, alarms, Summary) of a tested unit; returns its `report`.
+        progress: called with the share of the units done.
         client: of dask.distributed; its workers test the units, see their files by the same paths and call
             `page`, which can be pickled.
-        state: folder in which continuations of units are kept; None: nowhere. The next recording of a unit,
-            in a run with the same folder, is then judged as if it followed in one file: windows look back
-            into the one before, an observer carries on, each test of a monitor does, and an interval of means
-            that began in it is ended. Where it begins more than a step later, or earlier, or an expression of
-            the model counts from the start of a recording, it begins anew, and its hints say so. The same
-            recording again is judged as it was.
-        margins: of the Results that pages are made from, see `detect`; those of units are exact. outside: see
-            `detect`.
 
     Yields:
         UnitResult. Trouble with a unit makes it "not tested" and leaves the others alone.
     """
-    how = _How(method, horizon, lags, options, state, rule_of(alarm), min_coverage, margins, outside)
     if client is not None:
         yield from _test_by_workers(client, _FleetJob(how, page), units, progress)
     else:
@@ -286,7 +290,7 @@ def detect_fleet(
 
 
 def _test_here(
-    units: Sequence[Unit], how: "_How", page: Page | None, report: Progress = lambda share: None
+    units: Sequence[Unit], how: FleetTest, page: Page | None, report: Progress = lambda share: None
 ) -> Iterator[UnitResult]:
     """Test units in this process."""
     done = 0
@@ -298,27 +302,6 @@ def _test_here(
             yield result
             done += 1
             report(done / len(units))
-
-
-class _How(NamedTuple):
-    """How the units of a fleet are tested, see `detect_fleet`."""
-
-    method: str
-    horizon: int | None
-    lags: Sequence[int] | None
-    options: Mapping[str, Any] | None
-    state: str | PathLike[str] | None
-    alarm: AlarmRule
-    min_coverage: float
-    margins: str
-    outside: str
-
-    @property
-    def ahead(self) -> int:
-        """How many units are read while another is tested."""
-        if self.method == SetObserver.method:
-            return SIDE
-        return AHEAD
 
 
 Detected = tuple[Result, Recording, list[Alarm]]
@@ -348,7 +331,7 @@ Group = list[tuple[Unit, Future[_UnitData]]]
 """Units that are tested together, and the reading of each."""
 
 
-def _read_groups(units: Sequence[Unit], how: _How) -> Iterator[Group]:
+def _read_groups(units: Sequence[Unit], how: FleetTest) -> Iterator[Group]:
     """Yield the units that are tested together, while the next ones are read.
 
     An observer follows units of one model side by side; others are tested one by one.
@@ -374,32 +357,29 @@ def _read_groups(units: Sequence[Unit], how: _How) -> Iterator[Group]:
 class _Reader:
     """A reader of units, which makes once what units of one model have in common."""
 
-    def __init__(self, units: Sequence[Unit], how: _How) -> None:
+    def __init__(self, units: Sequence[Unit], how: FleetTest) -> None:
         self.how = how
         self.shared = Counter(unit.model for unit in units)
         self.models: dict[Path, tuple[LinearSystem, Relations]] = {}
 
     def read(self, unit: Unit) -> _UnitData:
         """Return one unit, read."""
-        how, relations = self.how, None
+        how, relations, ask = self.how, None, self.how.ask
         if unit.model in self.models:
             model, relations = self.models[unit.model]
         else:
             model = load_model(unit.model)
-        method, recorded = how.method, model
-        if is_monitored(model, how.method, how.horizon, how.lags):
-            method, recorded = MONITOR, with_tests(model)
-        source = open_source(unit.recording, recorded)
+        source = open_source(unit.recording, ask.recorded(model))
         if how.state is None:
             recording = source.read()
         if relations is None:
-            relations = relations_by(method, model, how.horizon, lags=how.lags, options=how.options)
+            relations = ask.relations(model)
         if self.shared[unit.model] > 1:
             self.models[unit.model] = model, relations
         if how.state is None:
             return _UnitData(model, relations, Joined(recording))
         # the content before it is read, so that a later change is seen
-        kept = Continuation(how.state, unit.name, relations, method, source.content)
+        kept = Continuation(how.state, unit.name, relations, ask.of(model).method, source.content)
         return _UnitData(model, relations, kept.joined(kept.read(source)), kept)
 
 
@@ -407,7 +387,7 @@ class _Reader:
 class _FleetJob:
     """The test of units as a `Job`: a task is a list of units."""
 
-    how: _How
+    how: FleetTest
     page: Page | None
 
     def run(self, units: Sequence[Unit]) -> list[UnitResult]:
@@ -428,12 +408,12 @@ def _test_by_workers(
             progress(done / len(units))
 
 
-def _tested(group: Group, how: _How) -> Iterator[Judgement]:
+def _tested(group: Group, how: FleetTest) -> Iterator[Judgement]:
     """Yield the results of units of one model."""
     read = [(unit, _tried(unit, job.result)) for unit, job in group]
     together: _Together = {}
     if len(group) > 1:
-        together = _side_by_side([data for _, data in read if isinstance(data, _UnitData)], how.outside)
+        together = _side_by_side([data for _, data in read if isinstance(data, _UnitData)], how.ask)
     for unit, data in read:
         if isinstance(data, UnitResult):
             yield data, None
@@ -459,7 +439,7 @@ def _tried(unit: Unit, work: Callable[[], Done]) -> Done | UnitResult:
 
 @sparing(False)  # the same bytes in whatever order units are judged
 def _judge_unit(
-    unit: Unit, data: _UnitData, how: _How, known: "_Followed | None"
+    unit: Unit, data: _UnitData, how: FleetTest, known: "_Followed | None"
 ) -> tuple[UnitResult, Detected]:
     """Return the result of a unit. known: of one that was followed beside others."""
     model, relations, recording = data.model, data.relations, data.recording
@@ -469,11 +449,10 @@ def _judge_unit(
     if known is not None:
         res, carry = known
     elif data.kept is not None and relations.observer is not None:
-        res, carry = followed(relations.observer, data.joined, how.outside, how.margins)
+        res, carry = followed(relations.observer, data.joined, how.ask)
     else:
         # each by its own number of windows: the tightest one of a unit is searched for among nearly all
-        test = partial(detect, method=how.method, margins=how.margins, outside=how.outside)
-        res, carry = replace(test(relations, recording), known=data.joined.known), None
+        res, carry = replace(how.ask.detect(relations, recording), known=data.joined.known), None
     if data.kept is not None:
         data.kept.save(recording, carry)
     rule = how.alarm
@@ -492,7 +471,7 @@ _Together = dict[int, _Followed]
 
 
 @sparing(False)
-def _side_by_side(read: Sequence[_UnitData], outside: str) -> _Together:
+def _side_by_side(read: Sequence[_UnitData], ask: Ask) -> _Together:
     """Return the outcomes of units that an observer can follow side by side."""
     alike: dict[tuple[object, ...], list[_UnitData]] = {}
     for data in read:
@@ -501,7 +480,7 @@ def _side_by_side(read: Sequence[_UnitData], outside: str) -> _Together:
     for group in alike.values():
         if len(group) > 1 and group[0].recording.samples > group[0].relations.horizon:
             with suppress(ValueError):  # of one of them: each is told alone what is wrong
-                outcomes |= _followed_together(group, outside)
+                outcomes |= _followed_together(group, ask)
     return outcomes
 
 
@@ -516,7 +495,7 @@ def _shape_of(data: _UnitData) -> tuple[object, ...]:
     return recording.samples, tuple(recording.starts.tolist()), *types, data.joined.known, before
 
 
-def _followed_together(group: Sequence[_UnitData], outside: str) -> _Together:
+def _followed_together(group: Sequence[_UnitData], ask: Ask) -> _Together:
     """Follow units of one model, and of one shape, by one observer."""
     first, observer = group[0], cast(SetObserver[Any], group[0].relations)  # others are tested one by one
     u = np.stack([np.asarray(data.recording.u) for data in group])
@@ -526,7 +505,7 @@ def _followed_together(group: Sequence[_UnitData], outside: str) -> _Together:
     carry = None
     if first.joined.carry is not None:
         carry = joined_carries([data.joined.carry for data in group])
-    together, between = followed(observer, Joined(many, carry, first.joined.known), outside)
+    together, between = followed(observer, Joined(many, carry, first.joined.known), ask)
     outcomes: _Together = {}
     for i, data in enumerate(group):
         own = recordings_of(between, len(group), np.array([i]))

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxbound.files.locks import let_go, locked, refuse_link, unshared
-from jaxbound.files.whole import UNFINISHED, whole
+from jaxbound.files.whole import UNFINISHED, put
 from jaxbound.recordings.parquetfiles import SUFFIXES
 from jaxbound.runs.refusals import Refused
 
@@ -239,8 +239,7 @@ class OutputFolder:
         for name, entry in new.items():
             listed[name] = [entry, *listed.pop(name, [])]
         self.listed = listed
-        with whole(self.path / LIST, links=False) as f:
-            f.write(json.dumps({LISTED: self.listed}, indent=1).encode())
+        put(self.path / LIST, json.dumps({LISTED: self.listed}, indent=1).encode(), links=False)
 
     def _read(self) -> dict[str, list[Entry]]:
         if not os.path.lexists(self.path / LIST):

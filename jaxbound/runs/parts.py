@@ -219,8 +219,7 @@ def carry_behind(part: Path) -> list[str]:
     """Return the texts of what an observer carried behind a part, see `as_texts`."""
     import pyarrow.parquet as pq
 
-    texts: list[str] = json.loads(pq.read_schema(part).metadata[CARRY])
-    return texts
+    return list(json.loads(pq.read_schema(part).metadata[CARRY]))
 
 
 def verdicts_of(

@@ -1,12 +1,13 @@
 """Rows of verdicts as samples come: the text of verdicts.csv, and the file itself."""
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Protocol
+from typing import IO, Any, Protocol
 
 from jaxbound.files.disk import sync, sync_folder
 from jaxbound.files.locks import lock
-from jaxbound.recordings.columns import is_plain, moments, write_rows
+from jaxbound.recordings.columns import Arrow, is_plain, moments, write_rows
 from jaxbound.recordings.linetext import FEW
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory
@@ -14,9 +15,6 @@ from jaxbound.runs.refusals import Refused
 from jaxbound.runs.sink import Verdicts
 from jaxbound.runs.verdictfiles import columns_of
 from jaxbound.sets.floats.status import Status
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 __all__ = ["VERDICTS", "RowFile", "RowText", "number_text"]
 
@@ -169,7 +167,7 @@ class RowFile:
         return file
 
 
-def _row_text(written: "pa.Array", verdicts: Verdicts) -> bytes:
+def _row_text(written: Arrow, verdicts: Verdicts) -> bytes:
     """Return rows of verdicts.csv; written: the times as the recording has them, a pyarrow array."""
     import pyarrow as pa
 
@@ -203,16 +201,15 @@ def _few_rows(times: list[float | str], verdicts: Verdicts) -> bytes:
     return "".join(rows).encode()
 
 
-def _outside_cells(verdicts: Verdicts) -> list[str]:
-    """Return the cells of each row on the region of training, each with a comma behind it."""
+def _outside_cells(verdicts: Verdicts) -> Iterator[str]:
+    """Yield the cells of each row on the region of training, each with a comma behind it."""
     departure = verdicts.departure
     if departure is None:
-        return [""] * len(verdicts.status)
-    cells: list[str] = []
+        yield from [""] * len(verdicts.status)
+        return
     numbers = departure.share.tolist(), departure.by.tolist(), departure.reading.tolist()
     for share, by, reading in zip(*numbers, strict=True):
-        cells.append(f"{number_text(share)},{departure.names[by + 1]},{number_text(reading)},")
-    return cells
+        yield f"{number_text(share)},{departure.names[by + 1]},{number_text(reading)},"
 
 
 def number_text(x: float) -> str:

@@ -30,7 +30,7 @@ class RunRecord(Sink):
         it then.
         """
         model, numbers = outcome.model, outcome.summary.found
-        if outcome.method != MONITOR:
+        if outcome.ask.method != MONITOR:
             model = model.replace(tests=None)  # none of them was tested
         data, directory, text = outcome.data.resolve(), self.folder.resolve(), model_text(model).encode()
         named = str(data)
@@ -42,11 +42,11 @@ class RunRecord(Sink):
         record = {
             "data": named,
             "bytes": size,
-            "method": outcome.method,
+            "method": outcome.ask.method,
             "horizon": outcome.horizon,
             "content": outcome.content,
             "model": hashlib.sha256(text).hexdigest(),
-            "options": dict(outcome.options),
+            "options": dict(outcome.ask.options),
             "outgrown": numbers is not None and numbers.outgrown,
         }
         (directory / MODEL).write_bytes(text)

@@ -3,8 +3,8 @@
 The outputs of jaxbound stand in a list, `sinks.BUILT_IN`; `register` adds one of a user.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -12,6 +12,7 @@ from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.causes import Verdicts
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
+from jaxbound.runs.ask import Ask
 from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.runs.summary import Summary
 
@@ -23,8 +24,8 @@ class Outcome:
     """The outcome of the test of one recording.
 
     Fields: alarms: those that are kept; summary; model: that was tested; data: the path of the recording;
-    content: its digest, None where it is gone; method, horizon: of the test; options: of an observer;
-    names_suspects: whether the alarms name their suspects.
+    content: its digest, None where it is gone; ask, horizon: of the test; names_suspects: whether the alarms
+    name their suspects.
     """
 
     alarms: Sequence[Alarm]
@@ -32,9 +33,8 @@ class Outcome:
     model: LinearSystem
     data: Path
     content: str | None
-    method: str
+    ask: Ask
     horizon: int
-    options: Mapping[str, object] = field(default_factory=dict)
     names_suspects: bool = False
 
 

@@ -18,23 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxbound.consistency.claims import CLAIMED
-from jaxbound.consistency.interface import (
-    AUTO,
-    Observer,
-    Relations,
-    WindowTest,
-    margins_for,
-    with_margins,
-)
-from jaxbound.diagnosis.detection import detect
-from jaxbound.diagnosis.result import Result
+from jaxbound.consistency.interface import Observer, Relations, WindowTest, margins_for, with_margins
 from jaxbound.files.checkpoint import from_texts
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.recordings.contents import Digests
 from jaxbound.recordings.parquet import PARTIAL, VERDICTS, ParquetSource
-from jaxbound.recordings.recording import Recording
 from jaxbound.relations.identity import identity
+from jaxbound.runs.ask import Ask
 from jaxbound.runs.judges import Carried, Windows
 from jaxbound.runs.loop import Laps, follow
 from jaxbound.runs.outputs import OutputFolder
@@ -70,26 +60,19 @@ STAGES = "read", "transfer", "compute", "write"
 class Asked:
     """The test that a recording in parts is to be given.
 
-    Fields: relations, method, margins, outside: see `detect`. overlap: samples that an observer of its own is
-    given before each part; None: one for all. chunk: samples in memory at once.
+    Fields: relations: that ask says how to test. overlap: samples that an observer of its own is given before
+    each part; None: one for all. chunk: samples in memory at once.
     """
 
     relations: Relations
-    method: str = "joint"
-    margins: str = AUTO
-    outside: str = CLAIMED
+    ask: Ask = Ask()
     overlap: int | None = None
     chunk: int = CHUNK
 
-    def detect(self, recording: Recording) -> Result:
-        """Return the Result of samples in memory."""
-        test = partial(detect, self.relations, margins=self.margins, outside=self.outside)
-        return test(recording, method=self.method)
-
     def test_of(self, source: ParquetSource) -> WindowTest | Observer[Any]:
         """Return the test of a recording; refuse what these relations cannot be tested by."""
-        test = self.relations.test(self.method, source.dtype)
-        return with_margins(test, self.margins, source.samples - self.relations.horizon)
+        test = self.relations.test(self.ask.method, source.dtype)
+        return with_margins(test, self.ask.margins, source.samples - self.relations.horizon)
 
 
 def write_parts(
@@ -300,13 +283,14 @@ class _Judging:
         """Return the judge of the samples from a part on."""
         done, asked = part * self.size, self.asked
         if not asked.relations.remembers:
-            return Windows(asked.detect, asked.relations.horizon, done, laps)
+            test = partial(asked.ask.detect, asked.relations)
+            return Windows(test, asked.relations.horizon, done, laps)
         observer = asked.test_of(self.source)
         assert observer.remembers, "what remembers is an observer"
         carry = observer.init()
         if part and self.follows:
             carry = from_texts(carry, carry_behind(self.folder / part_name(part - 1)))
-        return Carried(observer, carry, self.size, done, laps, asked.overlap, asked.outside)
+        return Carried(observer, carry, self.size, done, laps, asked.overlap, asked.ask.outside)
 
 
 def _job_of(
@@ -324,16 +308,16 @@ def _job_of(
             f"{source.path}: the recording has {source.samples} samples, one window needs "
             f"{relations.horizon + 1}"
         )
-    also: dict[str, str | int] = {"margins": test.margins_are, "word outside training": asked.outside}
+    also: dict[str, str | int] = {"margins": test.margins_are, "word outside training": asked.ask.outside}
     if relations.remembers:
         also["overlap"] = begins if begins is not None else "none"
     folder = out / PARTIAL
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder} is a file: move it, or choose another folder")
-    common = identity(relations, method=asked.method, recording=fingerprint(source.layout), **also)
+    common = identity(relations, method=asked.ask.method, recording=fingerprint(source.layout), **also)
     chunk = max(asked.chunk, LEAST, relations.horizon + 1, (begins or 0) + 1)
-    kind = margins_for(asked.margins, source.samples - relations.horizon)
-    asked = replace(asked, chunk=chunk, overlap=begins, margins=kind)
+    kind = margins_for(asked.ask.margins, source.samples - relations.horizon)
+    asked = Asked(relations, replace(asked.ask, margins=kind), begins, chunk)
     job = _Judging(asked, source, folder, PART, common)
     mine = numbers_of(part or (1, 1), part_count(source))
     for file in part_files(folder):

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from functools import singledispatch
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,15 +12,12 @@ from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result, suspected
 from jaxbound.diagnosis.suspects import tells_causes
 from jaxbound.models.region import Departure
-from jaxbound.recordings.columns import texts, to_arrow, words, write_columns
+from jaxbound.recordings.columns import Arrow, texts, to_arrow, words, write_columns
 from jaxbound.recordings.parquet import VERDICTS
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.contradiction import Spoken
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.sets.floats.status import Status
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 __all__ = [
     "AlarmColumns",
@@ -34,7 +31,7 @@ __all__ = [
     "write_verdicts",
 ]
 
-Columns = dict[str, "pa.Array"]
+Columns = dict[str, Arrow]
 """{name: column}, as they are written."""
 
 
@@ -153,9 +150,7 @@ class AlarmColumns(NamedTuple):
     suspects: bool = False
     causes: bool = False
 
-    def of(
-        self, alarms: Sequence[Alarm], at: Callable[[np.ndarray], tuple["pa.Array", np.ndarray]]
-    ) -> Columns:
+    def of(self, alarms: Sequence[Alarm], at: Callable[[np.ndarray], tuple[Arrow, np.ndarray]]) -> Columns:
         """Return start and end (time of the recording), duration in s, FAULT windows, depth and when it was
         reached.
 
@@ -169,7 +164,7 @@ class AlarmColumns(NamedTuple):
         def numbers(name: str, kind: type = np.int64) -> np.ndarray:
             return np.array([getattr(alarm, name) for alarm in alarms], kind)
 
-        def said(name: str) -> "pa.Array":
+        def said(name: str) -> Arrow:
             return texts([getattr(alarm, name) for alarm in alarms])
 
         start, end, depth = numbers("start"), numbers("end"), numbers("depth", np.float64)
@@ -203,7 +198,7 @@ def write_alarms(
     """Write one row an alarm, with the times of the recording."""
     written, time = recording.column, recording.time
 
-    def at(samples: np.ndarray) -> tuple["pa.Array", np.ndarray]:
+    def at(samples: np.ndarray) -> tuple[Arrow, np.ndarray]:
         return written.take(to_arrow(samples)), time[samples]
 
     write_columns(path, shows.of(alarms, at))

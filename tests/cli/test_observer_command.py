@@ -20,6 +20,7 @@ from jaxbound.diagnosis.alarms import BEGAN_ANEW, ENDINGS
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.read import open_source
 from jaxbound.runs import parts, streaming
+from jaxbound.runs.ask import Ask
 
 T, ONSET = 160, 90
 
@@ -167,14 +168,16 @@ def test_parts_carry_on_and_are_made_again_where_they_are_lost(place, capsys, mo
     assert told(place / "parts") == told(place / "out")
     observer = jb.observer(jb.load_model("plant.toml"), restart=not method)
     source = open_source(place / "run.parquet", observer.model)
-    folder, _ = streaming.write_parts(streaming.Asked(observer, "observer"), source, place / "again")
+    folder, _ = streaming.write_parts(streaming.Asked(observer, Ask("observer")), source, place / "again")
     read = lambda: [pd.read_parquet(p).to_csv() for p in parts.part_files(folder)]
     before = read()
     parts.part_files(folder)[2].unlink()
-    streaming.write_parts(streaming.Asked(observer, "observer"), source, place / "again")
+    streaming.write_parts(streaming.Asked(observer, Ask("observer")), source, place / "again")
     assert len(before) == 4 and read() == before
     with pytest.raises(ValueError, match="carries what it knows from each part to the next"):
-        streaming.write_parts(streaming.Asked(observer, "observer"), source, place / "shared", part=(1, 2))
+        streaming.write_parts(
+            streaming.Asked(observer, Ask("observer")), source, place / "shared", part=(1, 2)
+        )
 
 
 @pytest.mark.long(by_day="test_parts_carry_on_and_are_made_again_where_they_are_lost")
@@ -247,7 +250,7 @@ def test_an_observer_has_the_order_that_is_asked_for(place, capsys, monkeypatch)
     def run(observer, *more, **options):
         raise ValueError(f"an observer of order {observer.order}")
 
-    monkeypatch.setattr("jaxbound.cli.evaluation.detect", run)
+    monkeypatch.setattr("jaxbound.runs.ask.detect", run)
     assert detect("--order", "8", out="out") == 2
     assert "an observer of order 8" in capsys.readouterr().err
 
@@ -285,7 +288,7 @@ def test_what_a_part_of_an_observer_depends_on_is_read_once(place, monkeypatch):
     )
     observer = jb.observer(jb.load_model("plant.toml"))
     streaming.write_parts(
-        streaming.Asked(observer, "observer"),
+        streaming.Asked(observer, Ask("observer")),
         open_source(place / "run.parquet", observer.model),
         place / "out",
     )

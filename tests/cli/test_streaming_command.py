@@ -20,7 +20,7 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import evaluation, main
 from jaxbound.recordings.parquet import open_parquet
-from jaxbound.runs import streaming
+from jaxbound.runs import ask
 from jaxbound.runs.parts import part_files
 from jaxbound.runs.streaming import Asked, write_parts
 
@@ -100,7 +100,7 @@ class TestCommand:
                 raise KeyboardInterrupt
             return jb.detect(*args, **options)
 
-        monkeypatch.setattr(streaming, "detect", detect)
+        monkeypatch.setattr(ask, "detect", detect)
         assert main.main([*DETECT, "--chunk", "500"]) == 130
         out, err = capsys.readouterr()
         assert out == "" and err == (
@@ -116,7 +116,7 @@ class TestCommand:
         def stop(*args, **options):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(streaming, "detect", stop)
+        monkeypatch.setattr(ask, "detect", stop)
         assert main.main(DETECT) == 130
         assert (
             capsys.readouterr().err == "jaxbound: interrupted: nothing was written\n"
@@ -191,7 +191,7 @@ class TestCommand:
         assert (
             "interrupted: 100 % of the verdicts are kept in out/verdicts.partial" in capsys.readouterr().err
         )
-        monkeypatch.setattr(streaming, "detect", None)  # nothing is tested again
+        monkeypatch.setattr(ask, "detect", None)  # nothing is tested again
         assert main.main(DETECT) == 1 and [p.name for p in (place / "out").glob("verdicts*")] == [
             "verdicts.parquet"
         ]

@@ -8,7 +8,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.models.modelfile import changed_text, model_text
 from jaxbound.recordings.factors import known
-from jaxbound.runs.relations import relations_by
+from jaxbound.runs.ask import Ask
 from jaxbound.studies.tuning import tuning
 
 TIMES = {"T": "1 + abs(fan)"}
@@ -137,9 +137,9 @@ def test_a_family_of_a_user_is_not_handed_a_factor():
         return jb.parity_relations(model, horizon)
 
     try:
-        assert relations_by("own", plant(times=None)).count
+        assert Ask("own").relations(plant(times=None)).count
         with pytest.raises(ValueError, match="is times a factor"):
-            relations_by("own", plant())
+            Ask("own").relations(plant())
     finally:
         del FAMILIES["own"]
 

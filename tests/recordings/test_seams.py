@@ -68,7 +68,8 @@ def test_a_window_crosses_exactly_the_seams_inside_it(rng, horizon):
 class TestSentences:
     def hints(self, *steps):
         time = np.cumsum([0, *np.repeat(1.0, 20), *steps])
-        return seam_hints(tick(Clock(1.0), time)[0], lambda k: f"{time[k]:g} s", lambda k: f"row {k + 2}")
+        clock, _ = tick(Clock(1.0), time)
+        return list(seam_hints(clock, lambda k: f"{time[k]:g} s", lambda k: f"row {k + 2}"))
 
     def test_nothing_to_say(self):
         assert self.hints(1, 1.1) == []

@@ -8,7 +8,7 @@ from streaming_case import N, recording, shrink
 
 from jaxbound.plots.canvas import bins
 from jaxbound.plots.plot import plot
-from jaxbound.reports.chartdata import charts
+from jaxbound.reports.chartdata import Shown, charts
 from jaxbound.runs.digest import detect_dataset
 from jaxbound.runs.partnotes import read_extremes
 from jaxbound.runs.parts import part_files
@@ -39,7 +39,7 @@ def test_the_extremes_of_every_bin_are_those_of_the_samples(found):
 
 def test_the_overview_has_the_signals_that_one_of_a_whole_recording_has(found, case):
     _, _, res, whole = case("section 5")
-    there, expected = (charts(x, r, [], [], {}, 100) for x, r in ((found[0], found[0]), (res, whole)))
+    there, expected = (charts(x, r, Shown(worst=100)) for x, r in ((found[0], found[0]), (res, whole)))
     assert [row.key for row in there.rows] == [row.key for row in expected.rows]
     assert set(there.whole.low) == {"margin", "s0", "s1", "s2"} <= set(expected.whole.low)
 
@@ -51,7 +51,7 @@ def test_the_page_does_not_call_a_window_the_tightest_by_bounds(found, margins, 
     counts = found[0].counts | {"FAULT": 0}
     numbers = replace(found[0].found, margins=margins, bounded=margins == "bounds", counts=counts)
     healthy = replace(found[0], found=numbers)
-    assert charts(healthy, healthy, [], [], {}, 100).about == about
+    assert charts(healthy, healthy, Shown(worst=100)).about == about
 
 
 @pytest.mark.parametrize("margins, words", [("exact", ""), ("bounds", ", above 0 a lower bound")])

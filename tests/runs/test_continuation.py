@@ -13,7 +13,8 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.runs.fleet import Unit, detect_fleet
+from jaxbound.runs.ask import Ask
+from jaxbound.runs.fleet import FleetTest, Unit, detect_fleet
 
 T, CUTS = 90, (0, 37, 40, 90)
 START = pd.Timestamp("2026-03-01")
@@ -50,14 +51,14 @@ def plant():
     )
 
 
-def fleet(folder, tables, **how):
+def fleet(folder, tables, state=None, **how):
     """Write recordings, a file each, and return the UnitResults and Results of a fleet of them."""
     units, kept = [], {}
     for i, table in enumerate(tables):
         table.to_csv(folder / f"{i}.csv", index=False)
         units.append(Unit(f"unit {i}", folder / "plant.toml", folder / f"{i}.csv"))
     page = lambda unit, res, *about: kept.update({unit.name: (res, *about)}) or ""
-    return list(detect_fleet(units, page=page, **how)), kept
+    return list(detect_fleet(units, FleetTest(Ask(**how), state=state), page)), kept
 
 
 @pytest.mark.parametrize(
@@ -134,7 +135,7 @@ def test_each_unit_has_a_file_of_its_own_that_names_it(plant, tmp_path):
     def say(first, stop, *names):
         table.iloc[first:stop].to_csv(tmp_path / "run.csv", index=False)
         units = [Unit(name, tmp_path / "plant.toml", tmp_path / "run.csv") for name in names]
-        return list(detect_fleet(units, horizon=3, state=state))
+        return list(detect_fleet(units, FleetTest(Ask(horizon=3), state=state)))
 
     say(0, 10, *ALIKE)
     files = sorted(state.iterdir())
@@ -194,7 +195,7 @@ def test_a_recording_without_times_begins_anew(plant, tmp_path, how, stored):
         part = table.iloc[first:stop]
         part.to_csv(path, index=False) if stored == "csv" else part.to_parquet(path, index=False)
         (found,) = detect_fleet(
-            [Unit("unit", tmp_path / "plant.toml", path)], state=tmp_path / "state", **how
+            [Unit("unit", tmp_path / "plant.toml", path)], FleetTest(Ask(**how), state=tmp_path / "state")
         )
         hint = (
             "the recording begins anew, as if there were none before, which has no times: nobody knows "
@@ -243,7 +244,7 @@ def test_an_interval_that_a_cut_splits_is_judged_as_in_one_file(tmp_path, second
         part, kept = seconds.iloc[first:stop], {}
         part.to_csv(path, index=False) if stored == "csv" else part.to_parquet(path, index=False)
         page = lambda unit, res, recording, *about: kept.update(res=res, recording=recording) or ""
-        (found,) = detect_fleet([Unit("A", tmp_path / "m.toml", path)], state=state, page=page)
+        (found,) = detect_fleet([Unit("A", tmp_path / "m.toml", path)], FleetTest(state=state), page)
         if not kept:
             assert "too short" in found.summary.sentence or "one window needs 3" in found.summary.sentence
             return {}
@@ -272,7 +273,7 @@ def test_a_recording_of_before_takes_nothing_of_what_is_kept(tmp_path, seconds):
     for first, stop in ((400, 650), (0, 300), (500, 800)):
         seconds.iloc[first:stop].to_csv(unit.recording, index=False)
         (alone,) = detect_fleet([unit])
-        (found,) = detect_fleet([unit], state=tmp_path / "state")
+        (found,) = detect_fleet([unit], FleetTest(state=tmp_path / "state"))
         samples.append(found.summary.found.samples - alone.summary.found.samples)
     assert samples[:2] == [0, 0]
     # two samples that were judged, two intervals that are not whole, between them those without a row

@@ -10,7 +10,9 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.runs.fleet import Unit, detect_fleet
+from jaxbound.diagnosis.alarmrule import EVERY_FAULT
+from jaxbound.runs.ask import Ask
+from jaxbound.runs.fleet import FleetTest, Unit, detect_fleet
 
 T, GAP = 120, 80
 START = pd.Timestamp("2026-03-01 10:00")
@@ -54,13 +56,13 @@ def table(rng, step=1, each=1):
     return pd.DataFrame({"time": START + pd.to_timedelta(seconds, "s"), **columns})
 
 
-def judged(folder, frame, **how):
+def judged(folder, frame, state=None, alarm=EVERY_FAULT, **how):
     """Return (UnitResult, MonitorResult, Recording, alarms) of a fleet of one unit."""
     kept = []
     frame.to_csv(folder / "run.csv", index=False)
     unit = Unit("unit", folder / "plant.toml", folder / "run.csv")
     page = lambda _, res, recording, alarms, summary: kept.append((res, recording, alarms)) or ""
-    (result,) = detect_fleet([unit], page=page, **how)
+    (result,) = detect_fleet([unit], FleetTest(Ask(**how), alarm, state=state), page)
     return result, *(kept or [(None, None, None)])[0]
 
 

@@ -16,7 +16,7 @@ from jaxbound.cli import main
 from jaxbound.consistency import strips
 from jaxbound.models.modelfile import save_model
 from jaxbound.recordings.read import read
-from jaxbound.runs import fleet
+from jaxbound.runs import ask, fleet
 from jaxbound.runs.fleet import Unit, UnitResult, detect_fleet, fleet_verdict, read_manifest, worst_first
 from jaxbound.runs.summary import Summary, Window
 
@@ -178,7 +178,7 @@ class TestCommand:
         )
 
     def test_an_interrupt_keeps_what_was_tested(self, plant, monkeypatch, capsys):
-        detect, calls = fleet.detect, []
+        detect, calls = ask.detect, []
 
         def interrupted(*args, **kwargs):
             calls.append(1)
@@ -186,7 +186,7 @@ class TestCommand:
                 raise KeyboardInterrupt
             return detect(*args, **kwargs)
 
-        monkeypatch.setattr(fleet, "detect", interrupted)
+        monkeypatch.setattr(ask, "detect", interrupted)
         assert command(plant) == 130
         rows = table(plant)
         assert (

@@ -23,7 +23,7 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import evaluation, main, pipe
 from jaxbound.files.checkpoint import Checkpoint
-from jaxbound.runs import fleet, streaming
+from jaxbound.runs import ask, fleet
 
 pytestmark = pytest.mark.compiled
 
@@ -633,7 +633,7 @@ class TestSignals:
                 time.sleep(5)
             return detect(*args, **options)
 
-        monkeypatch.setattr(streaming, "detect", stop)
+        monkeypatch.setattr(ask, "detect", stop)
         assert main.main([*PARQUET, "--chunk", "1000"]) == 143
         assert "the same command goes on from there" in capsys.readouterr().err
         assert main.main([*PARQUET, "--chunk", "1000"]) == 1 and len(calls) < 4 + 7

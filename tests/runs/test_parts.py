@@ -17,7 +17,7 @@ import jaxbound as jb
 from jaxbound.cli import evaluation, main
 from jaxbound.recordings import contents
 from jaxbound.recordings.parquet import ParquetSource, open_parquet
-from jaxbound.runs import streaming
+from jaxbound.runs import ask
 from jaxbound.runs.digest import detect_dataset
 from jaxbound.runs.parts import part_files
 from jaxbound.runs.streaming import Asked, write_parts
@@ -60,7 +60,7 @@ class TestSameBytes:
         detect_dataset(r, folder, tmp_path, part=(4, 4))
         tested = []
         monkeypatch.setattr(
-            streaming,
+            ask,
             "detect",
             lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k),
         )
@@ -171,7 +171,7 @@ class TestMissing:
         )  # kill -9
         tested = []
         monkeypatch.setattr(
-            streaming,
+            ask,
             "detect",
             lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k),
         )
@@ -358,7 +358,7 @@ class TestCommand:
                 raise KeyboardInterrupt
             return jb.detect(*args, **options)
 
-        monkeypatch.setattr(streaming, "detect", detect)
+        monkeypatch.setattr(ask, "detect", detect)
         assert main.main([*DETECT, "out", "--part", "1/2", "--chunk", "500"]) == 130
         assert capsys.readouterr().err == (
             "jaxbound: interrupted: what part 1/2 has done is kept in out/verdicts.partial; the same command "

@@ -18,7 +18,7 @@ from jaxbound.recordings import parquet
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.recordings.read import read
 from jaxbound.recordings.stillness import Runs, follow_runs
-from jaxbound.runs import parts, streaming
+from jaxbound.runs import ask, parts
 from jaxbound.runs.digest import detect_dataset, digest
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.partnotes import read_runs
@@ -245,7 +245,7 @@ class TestResume:
         r, folder, whole, _ = case("section 5")
         tested = []
         monkeypatch.setattr(
-            streaming,
+            ask,
             "detect",
             lambda r, piece, **k: tested.append(piece.samples) or jb.detect(r, piece, **k),
         )

@@ -257,9 +257,7 @@ def _recording(relations: Relations, given: object) -> Recording:
 
 
 def _truths(
-    recordings: Sequence[Recording],
-    healthy: int,
-    labels: Sequence[ArrayLike | Sequence[str] | None] | None,
+    recordings: Sequence[Recording], healthy: int, labels: Sequence[ArrayLike | Sequence[str] | None] | None
 ) -> list[Truth]:
     """Return the Truth of each recording, of which the first `healthy` ones have no fault."""
     faulty = recordings[healthy:]
@@ -337,8 +335,7 @@ def _quantiles(flags: Sequence[Flags]) -> list[float]:
     every = every[np.isfinite(every) & (every > 0)]
     if not len(every):
         return []
-    found: list[float] = np.quantile(every, np.linspace(0, 1, POINTS)).tolist()
-    return found
+    return list(np.quantile(every, np.linspace(0, 1, POINTS)).tolist())
 
 
 def _case(name: str, one: _Judged, rule: Rule, dt: float | None) -> Case:

@@ -46,8 +46,7 @@ class Samples(NamedTuple):
         x = np.concatenate([self.u, self.y], 1)
         count = max(len(x) - horizon, 0)
         lagged = [x[j : j + count] for j in range(horizon + 1)]
-        rows: np.ndarray = np.stack(lagged, 1).reshape(count, -1)
-        return rows
+        return np.asarray(np.stack(lagged, 1).reshape(count, -1))
 
     def usable(self, horizon: int) -> np.ndarray:
         """Return the first samples of the windows across no gap with every sample."""

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -65,9 +65,8 @@ def _without(name: str, inputs: Sequence[str]) -> str:
     return f"fit again with {name} taken out of --inputs, inputs={rest!r}"
 
 
-def apart(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
-    """Return a sentence for each signal of which two recordings have nothing in common: units may differ."""
-    sentences: list[str] = []
+def apart(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> Iterator[str]:
+    """Yield a sentence for each signal of which two recordings have nothing in common: units may differ."""
     for side, names in ((0, inputs), (1, outputs)):
         for i, name in enumerate(names):
             ranges = [(x[side][:, i], number) for number, x in enumerate(records, 1)]
@@ -78,30 +77,27 @@ def apart(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> li
             if low[1] < high[0]:
                 below = f"{low[0]:.4g} to {low[1]:.4g} in recording {low[2]}"
                 above = f"{high[0]:.4g} to {high[1]:.4g} in recording {high[2]}"
-                sentences.append(
+                yield (
                     f"{name} lies at {below} and at {above}, which have nothing in common: is it in two "
                     f"units, like degC and degF, or are these two plants? Bring it to one unit, or fit a "
                     f"model to each, jaxbound fit FILE"
                 )
-    return sentences
 
 
-def inputs_together(records: Records, inputs: Sequence[str]) -> list[str]:
-    """Return a sentence for each pair of inputs that move together."""
+def inputs_together(records: Records, inputs: Sequence[str]) -> Iterator[str]:
+    """Yield a sentence for each pair of inputs that move together."""
     u = np.concatenate([r[0] for r in records])
     u = u[np.isfinite(u).all(1)]
-    sentences = []
     for i, j in itertools.combinations(range(len(inputs)), 2):
         if _stands_still(u[:, i]) or _stands_still(u[:, j]):
             continue
         together = abs(float(np.corrcoef(u[:, i], u[:, j])[0, 1]))
         if together > TOGETHER:
-            sentences.append(
+            yield (
                 f"{inputs[i]} and {inputs[j]} move together (correlation {together:.3f}): the data do not "
                 f"tell apart what each does, and an hour in which they part looks like a fault; record steps "
                 f"of one alone, or {_without(inputs[j], inputs)}"
             )
-    return sentences
 
 
 def _stands_still(x: np.ndarray) -> bool:
@@ -123,7 +119,7 @@ def limits(model: LinearSystem, check: FitCheck, held_out: float) -> list[str]:
         held_out: the share that was to be held out.
     """
     sentences = [_few_windows(model, check), *_left_out(model, check, held_out), _contradiction(check)]
-    return [sentence for sentence in sentences if sentence]
+    return list(filter(None, sentences))
 
 
 def blind(model: LinearSystem, check: FitCheck) -> list[str]:
@@ -145,32 +141,31 @@ def _few_windows(model: LinearSystem, check: FitCheck) -> str:
     )
 
 
-def _left_out(model: LinearSystem, check: FitCheck, held_out: float) -> list[str]:
-    """Return sentences on what a day that was not seen may ask for."""
+def _left_out(model: LinearSystem, check: FitCheck, held_out: float) -> Iterator[str]:
+    """Yield sentences on what a day that was not seen may ask for."""
     if not check.left_out:
         why, again = "the recording is too short to leave a part of it out", f"record more, and {SEVERAL}"
         if not held_out:
             why, again = "nothing was left out", "fit again with --recipe held_out=0.3, held_out=0.3"
-        return [f"{why}: what the monitor makes of data that it has not seen is unknown; {again}"]
+        yield f"{why}: what the monitor makes of data that it has not seen is unknown; {again}"
+        return
     alone = len(check.recordings) == 1
     what = "block" if alone else "recording"
-    sentences = []
     if alone:
         blocks = len(check.left_out)
         length = duration(check.recordings[0]["samples"] * model.dt / blocks)
-        sentences.append(
+        yield (
             f"there is one recording, and its {blocks} blocks of {length} follow each other: what another "
             f"time asks for is unknown; record more of them, and {SEVERAL}"
         )
     for number, one in enumerate(check.left_out, 1):
         if one.why:
-            sentences.append(
+            yield (
                 f"{what} {number} says nothing of another day: {one.why}; record more, or cut a long "
                 f"recording into files, and {SEVERAL}"
             )
     if check.factor > WIDE:
-        sentences.append(wide(check, check.factor))
-    return sentences
+        yield wide(check, check.factor)
 
 
 def wide(check: FitCheck, factor: float) -> str:

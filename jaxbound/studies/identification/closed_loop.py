@@ -5,7 +5,7 @@ Each input is predicted by its own past, and by that and the past of one output,
 feeds back is predicted no better by outputs; what a controller computes, much better.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -24,12 +24,11 @@ its spread says nothing.
 """
 
 
-def closed_loops(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
-    """Return a sentence for each input that past outputs predict far better than its own past does."""
+def closed_loops(records: Records, inputs: Sequence[str], outputs: Sequence[str]) -> Iterator[str]:
+    """Yield a sentence for each input that past outputs predict far better than its own past does."""
     windows = windows_of(records, scales_of(records), PAST, MOST)
     if len(windows.u) < ROOM * (2 * PAST + 1):
-        return []
-    sentences = []
+        return
     for i, name in enumerate(inputs):
         alone = _error(windows, i, [])
         if alone < LIVELY:
@@ -38,13 +37,12 @@ def closed_loops(records: Records, inputs: Sequence[str], outputs: Sequence[str]
         best = int(np.argmin(shares))
         if shares[best] < LOOP:
             output = outputs[best]
-            sentences.append(
+            yield (
                 f"{name} follows {output}: the past of {output} leaves {shares[best]:.2g} of the error with "
                 f"which {name} is predicted by its own. In a closed loop a fault moves {name} and hardly "
                 f"{output}: record steps of {name} that nobody feeds back, or fit again with "
                 f"{name} in --outputs, outputs={[*outputs, name]!r}"
             )
-    return sentences
 
 
 def _error(windows: CompleteWindows, i: int, outputs: Sequence[int]) -> float:

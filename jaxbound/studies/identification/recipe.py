@@ -246,10 +246,9 @@ def recipe_of(recipe: object, fields: Mapping[str, Any]) -> Recipe:
         recipe = Recipe()
     if not isinstance(recipe, Recipe):
         raise ValueError(f"recipe must be a Recipe, like jb.Recipe(order=1), not {recipe!r}")
-    known = [field.name for field in dataclasses.fields(Recipe)]
     for name in fields:
-        if name not in known:
-            raise ValueError(f"fit has no {name}: a recipe has {', '.join(known)}")
+        if name not in Recipe.__dataclass_fields__:
+            raise ValueError(f"fit has no {name}: a recipe has {', '.join(Recipe.__dataclass_fields__)}")
     recipe = dataclasses.replace(recipe, **fields)
     for name, words in WORDS.items():
         value = getattr(recipe, name)
@@ -290,8 +289,7 @@ def recipe_text(recipe: Recipe) -> dict[str, str]:
     """Return {field: TOML} of what is not as usual in a recipe, for the table [fit] of a model file."""
     from tomlkit import item
 
-    values = {field.name: getattr(recipe, field.name) for field in dataclasses.fields(Recipe)}
-    changed = {name: x for name, x in values.items() if x != getattr(Recipe(), name)}
+    changed = {name: x for name, x in vars(recipe).items() if x != getattr(Recipe(), name)}
     if recipe.faults:
         fields = [dataclasses.astuple(fault) for fault in recipe.faults]
         changed["see"] = [[x for x in fault if x is not None] for fault in fields]  # TOML has no None: stop
@@ -303,8 +301,8 @@ def recipe_text(recipe: Recipe) -> dict[str, str]:
 def _refuse_together(recipe: Recipe) -> None:
     """Raise ValueError for fields that do not go together."""
     usual = Recipe()
-    given = {field.name for field in dataclasses.fields(Recipe)}
-    given = {name for name in given if getattr(recipe, name) != getattr(usual, name)}
+    names = Recipe.__dataclass_fields__
+    given = {name for name in names if getattr(recipe, name) != getattr(usual, name)}
     for one, other, why in APART:
         if {one, other} <= given:
             raise ValueError(f"{why.format(getattr(recipe, other))}: leave {one} out, or {other}")

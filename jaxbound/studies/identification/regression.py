@@ -362,11 +362,7 @@ def growth(theta: np.ndarray, order: int) -> float:
 
 
 def _marquardt(
-    theta: np.ndarray,
-    windows: CompleteWindows,
-    weight: np.ndarray,
-    order: int,
-    direct: bool,
+    theta: np.ndarray, windows: CompleteWindows, weight: np.ndarray, order: int, direct: bool
 ) -> np.ndarray:
     """Return coefficients that minimise the squares of weighted residuals, from some others on."""
 

@@ -28,12 +28,7 @@ from jaxbound.studies.identification.recipe import AUTO, Recipe
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, GivenUp, hidden_jumps
 from jaxbound.studies.identification.trial import Trial, tried
-from jaxbound.studies.identification.window_tests import (
-    RAMP,
-    TriedTest,
-    best_kind,
-    searched_means,
-)
+from jaxbound.studies.identification.window_tests import RAMP, TriedTest, best_kind, searched_means
 from jaxbound.text.progress import in_part
 
 __all__ = ["fitted", "on_recordings"]

@@ -21,13 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.consistency.devices import everywhere, on_devices
-from jaxbound.consistency.interface import (
-    AUTO,
-    MONITOR,
-    Relations,
-    margins_for,
-    relations_of,
-)
+from jaxbound.consistency.interface import AUTO, MONITOR, Relations, margins_for, relations_of
 from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import Fault
 from jaxbound.models.fingerprint import fingerprint
@@ -200,7 +194,7 @@ def study(
     keeper = None
     if out is not None:
         mark = identity(relations, plant=model, rows=rows, block=block, **settings)
-        keeper = Keeper(out, mark, [tally for column in columns for tally in column], rows)
+        keeper = Keeper(out, mark, sum(columns, []), rows)
     tasks = [(i, first) for i, count in enumerate(counts) for first in range(0, count, block)]
     acts = [scenarios.act_of(t, model, dtype) for t in trials]
 

@@ -150,8 +150,7 @@ def fits(model: LinearSystem, room: np.ndarray) -> bool:
 
 def _noise_taken(model: LinearSystem, room: np.ndarray) -> np.ndarray:
     """Return the share (p,) of the room that the noise gives: a logger's resolution gives the rest."""
-    taken: np.ndarray = np.maximum(room - _as_floats(model.resolution), 0.0)
-    return taken
+    return np.asarray(np.maximum(room - _as_floats(model.resolution), 0.0))
 
 
 def plant_of(model: LinearSystem, room: np.ndarray, dtype: np.dtype) -> FloatPlant:

@@ -228,8 +228,7 @@ class Ground:
         for trial in trials:
             largest = self.largest_input(trial)
             rooms.append(recursion.rounding_room(self.model, reach, largest, self.samples, dtype))
-        room: np.ndarray = np.max(rooms, 0)
-        return room
+        return np.asarray(np.max(rooms, 0))
 
     def guaranteed_size(self, fault: Fault, largest: float) -> float:
         """Return the size of a bias from which on the monitor must see it in every scenario of the study, nan

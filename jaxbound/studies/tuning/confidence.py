@@ -85,8 +85,7 @@ def rate_bound(n: int, confidence: float) -> float:
         >>> round(rate_bound(59, 0.95), 3)
         0.05
     """
-    share: float = 1 - (1 - confidence) ** (1 / n)
-    return share
+    return float(1 - (1 - confidence) ** (1 / n))
 
 
 def distribution_band(n: int, confidence: float) -> float:
@@ -159,8 +158,7 @@ def held_out(blocks: int, share: float) -> np.ndarray:
         [False, False, True, False, False, True]
     """
     count = np.floor(np.arange(blocks + 1) * share + 1e-9)
-    chosen: np.ndarray = np.diff(count) > 0
-    return chosen
+    return np.asarray(np.diff(count) > 0)
 
 
 def touched(chosen: np.ndarray, horizon: int) -> np.ndarray:

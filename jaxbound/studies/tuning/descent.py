@@ -227,11 +227,7 @@ def _advance(
 
 
 def gradient(
-    z: jax.Array,
-    problem: Objective,
-    turn: tuple[int, float],
-    inside: Seen,
-    outside: Seen | None,
+    z: jax.Array, problem: Objective, turn: tuple[int, float], inside: Seen, outside: Seen | None
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (gradient (b,), logarithm of the factor that these healthy windows need, what the best values
     are chosen by).

@@ -62,11 +62,7 @@ class MonitorTuneResult:
 
 
 def tuned_monitor(
-    bank: MonitorBank,
-    healthy: object,
-    faulty: object,
-    tune_one: TuneOne,
-    report: Callable[[float], object],
+    bank: MonitorBank, healthy: object, faulty: object, tune_one: TuneOne, report: Callable[[float], object]
 ) -> MonitorTuneResult:
     """Return the factors of a monitor's tests.
 
@@ -95,9 +91,10 @@ def tuned_monitor(
         if bad is not None:
             faults = _watched(bank, number, bad) or None
         relations = _scalable(bank, test)
+        scaled = tuple(name for name in relations.bounds if name != UNSCALED)
         progress = partial(in_part, report, number / len(stated), 1 / len(stated))
         try:
-            one = tune_one(relations, watched, faults, bounds=_scaled(relations), progress=progress)
+            one = tune_one(relations, watched, faults, bounds=scaled, progress=progress)
         except ValueError as e:
             raise ValueError(f"test {name!r}: {e}") from None
         tunings[name] = one
@@ -148,11 +145,6 @@ def _scalable(bank: MonitorBank, test: StatedTest) -> Tunable:
                 f"around its middle, which is not 0: state it as an offset and a disturbance around 0"
             )
     return relations
-
-
-def _scaled(relations: Tunable) -> tuple[str, ...]:
-    """Return the names of the bounds that the factor of a test scales."""
-    return tuple(name for name in relations.bounds if name != UNSCALED)
 
 
 def _grown(one: TuneResult) -> Fraction:

@@ -27,14 +27,7 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.tuning.parametrization import Moving
 
-__all__ = [
-    "JoinedRecordings",
-    "both_recordings",
-    "factors",
-    "joined_recordings",
-    "smallest_scale",
-    "worst",
-]
+__all__ = ["JoinedRecordings", "both_recordings", "factors", "joined_recordings", "smallest_scale", "worst"]
 
 FEW = 16  # worst windows that a test of all adds to those searched
 LEAST, MOST = 1e-12, 1e15  # factors looked at
@@ -66,8 +59,7 @@ class JoinedRecordings(Recording):
 
         def kept(at: np.ndarray) -> np.ndarray:
             at = at[at < len(chosen)]  # an entry without a sample
-            places: np.ndarray = before[at[chosen[at]]]
-            return places
+            return np.asarray(before[at[chosen[at]]])
 
         starts = kept(np.union1d(self.starts, self.first))
         return replace(

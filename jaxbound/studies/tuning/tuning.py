@@ -40,13 +40,7 @@ from jaxbound.studies.tuning.left_out import factors_left_out
 from jaxbound.studies.tuning.monitor_tuning import MonitorTuneResult, tuned_monitor
 from jaxbound.studies.tuning.observer_tuning import tuned_observer
 from jaxbound.studies.tuning.parametrization import Moving, Tunable, moving
-from jaxbound.studies.tuning.scaling import (
-    JoinedRecordings,
-    both_recordings,
-    factors,
-    smallest_scale,
-    worst,
-)
+from jaxbound.studies.tuning.scaling import JoinedRecordings, both_recordings, factors, smallest_scale, worst
 from jaxbound.studies.tuning.tune_result import History, TuneResult
 from jaxbound.studies.tuning.widening import Smallest, concluded, stated_factor
 from jaxbound.text.names import listed

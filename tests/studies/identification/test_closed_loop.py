@@ -34,9 +34,9 @@ def test_the_input_of_a_controller_is_named(rng):
 
 def test_inputs_that_move_by_themselves_are_not(rng):
     u, y = recorded(rng, 0.0)
-    assert closed_loops([(u, y, np.zeros(0, int))], ["valve", "weather"], ["T"]) == []
+    assert list(closed_loops([(u, y, np.zeros(0, int))], ["valve", "weather"], ["T"])) == []
 
 
 def test_little_is_said_of_few_samples(rng):
     u, y = recorded(rng, 2.0, 60)
-    assert closed_loops([(u, y, np.zeros(0, int))], ["valve", "weather"], ["T"]) == []
+    assert list(closed_loops([(u, y, np.zeros(0, int))], ["valve", "weather"], ["T"])) == []
