@@ -20,6 +20,7 @@ the other. With lags a sum is looked at where it ends at a sample that is looked
 its run.
 """
 
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
@@ -76,7 +77,10 @@ class WeightedSum:
 
     @cached_property
     def _sizes(self) -> dict[int, Fraction]:
-        return {signal: sum(map(abs, weights), Fraction(0)) for signal, weights in self.parts}
+        sizes: dict[int, Fraction] = defaultdict(Fraction)
+        for signal, weights in self.parts:
+            sizes[signal] += sum(map(abs, weights))
+        return sizes
 
 
 class Term(NamedTuple):
