@@ -15,6 +15,8 @@ from tests.interruptions import interrupted_descend
 from tests.oracles import Plant
 from tests.systems import PAPER, paper
 
+pytestmark = pytest.mark.compiled
+
 
 @pytest.fixture
 def plant(tmp_path, rng):

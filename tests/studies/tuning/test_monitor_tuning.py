@@ -12,6 +12,8 @@ import pytest
 import jaxbound as jb
 from jaxbound.cli.main import main
 
+pytestmark = pytest.mark.compiled
+
 RHO = Fraction(1, 10)
 LEVEL = jb.LinearSystem([[1]], None, [[1]], noise=RHO, outputs="level", name="level")
 JUMPS = {"name": "jumps", "horizon": 1, "factor": 2, "when": "mode == 1"}

@@ -18,6 +18,8 @@ from tests import tuning_case
 from tests.oracles import Plant
 from tests.systems import PAPER
 
+pytestmark = pytest.mark.compiled
+
 BASE = dict(A=PAPER["A"], B=PAPER["B"], C=PAPER["C"])
 TOLERANT = dict(BASE, tolerance=[0.02, 0.1], noise=[0.1, 0.01])
 BLOWN = dict(BASE, noise=[0.1, 0.01], disturbance=([[1], [0]], [[-0.02, 0.05]]))

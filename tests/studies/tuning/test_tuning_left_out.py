@@ -14,6 +14,8 @@ from tests import tuning_case
 from tests.oracles import Plant
 from tests.systems import PAPER
 
+pytestmark = pytest.mark.compiled
+
 NOISY = dict(A=PAPER["A"], B=PAPER["B"], C=PAPER["C"], noise=[0.1, 0.1])
 
 
