@@ -95,8 +95,10 @@ GONE = {
 OBSERVER = "observer"
 MONITOR = "monitor"
 """The method of several tests behind one verdict."""
-CLOSE = 1e-9
-"""Margins of an observer below it may change their sign with the last digits of what it carries."""
+CLOSE = 0.6
+"""Margins of an observer below this power of the roundoff, 4e-10 in float64, may change their sign with the
+last digits of what it carries.
+"""
 TOGETHER = 32
 """Recordings that NumPy follows side by side in about the time of one."""
 MARGINS = AUTO, BOUNDS, EXACT = "auto", "bounds", "exact"
@@ -842,7 +844,7 @@ class Observer(Relations, Generic[Carry]):
         *lead, samples, p = np.shape(piece.y)
         work = -(-math.prod(lead) // TOGETHER) * samples * self.weight
         tried = tried_in_numpy(fold, work, (type(self), self.weight, p))
-        if tried is not None and not (np.abs(tried[1].margin) < CLOSE).any():
+        if tried is not None and not (np.abs(m := tried[1].margin) < np.finfo(m.dtype).eps ** CLOSE).any():
             return tried
         with where_proofs_hold():
             return fold()

@@ -131,7 +131,9 @@ def test_recordings_side_by_side_take_the_time_of_one():
 
 
 def test_samples_at_their_bounds_are_compiled_after_all():
-    for margin, expected in ((1e-8, [True]), (-1e-8, [True]), (1e-10, [True, False]), (0, [True, False])):
+    near, far = [True, False], [True]
+    cases = (1e-8, far), (-1e-8, far), (1e-10, near), (0.0, near), (np.float32(1e-5), near)
+    for margin, expected in cases:
         observer = Watching(margin, weight=1)
         jb.detect(observer, np.zeros((9, 1)), np.zeros((9, 2)))
         assert observer.seen == expected
