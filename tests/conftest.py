@@ -3,6 +3,7 @@
 import contextlib
 import ctypes
 import gc
+import importlib
 import json
 import os
 import zlib
@@ -129,6 +130,34 @@ def in_numpy(request):
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def simulated_in_numpy():
+    """Have NumPy follow what is simulated, unless it is long: the same bits, and nothing to compile."""
+    from jaxbound.sets.floats.kernel import kernel, outside_xla
+
+    simulate = importlib.import_module("jaxbound.models.simulate")
+    by_xla = simulate._trajectory
+    in_numpy = kernel(by_xla.__wrapped__)
+
+    def trajectory(numbers, x0, along):
+        if len(along[0]) > 1024:
+            return by_xla(numbers, x0, along)
+        with outside_xla():
+            return in_numpy(numbers, x0, along)
+
+    trajectory.by_xla = by_xla
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulate, "_trajectory", trajectory)
+        yield
+
+
+@pytest.fixture
+def simulated_by_xla(monkeypatch):
+    """Have XLA follow what is simulated, as users do."""
+    simulate = importlib.import_module("jaxbound.models.simulate")
+    monkeypatch.setattr(simulate, "_trajectory", simulate._trajectory.by_xla)
+
+
 @pytest.fixture(autouse=True)
 def compiled(request):
     """Have XLA compile the kernels of a single test that is marked so."""
@@ -155,6 +184,15 @@ def as_compiled(monkeypatch):
         "estimation.set_observer",
     ):
         monkeypatch.setattr(f"jaxbound.{place}.is_outside_xla", lambda: False)
+
+
+@pytest.fixture
+def searched_in_numpy(monkeypatch):
+    """Have NumPy search for the hints of joint observers, too: a second where compiling takes three."""
+    from jaxbound.estimation import window_search
+    from jaxbound.sets.floats.kernel import kernel
+
+    monkeypatch.setattr(window_search, "_path", kernel(window_search._path.__wrapped__))
 
 
 GROWTH = 2**29

@@ -107,12 +107,12 @@ def _flat(tree):
 
 
 def test_the_sum_of_numbers_of_many_digits_is_written(rng):
-    """The denominators of 200 samples have thousands of digits together, more than Python writes as text."""
+    """The denominators of 150 samples have thousands of digits together, more than Python writes as text."""
     A = [["0.7", "0.123456789012345"], ["-0.123456789012345", "0.987654321098765"]]
-    m = jb.LinearSystem(A, None, [[1, 0]], noise=0.1, horizon=200)
-    y = np.round(rng.uniform(-0.1, 0.1, (201, 1)), 3)
-    y[100:] += 1
-    document = json.loads(certify(jb.parity_relations(m), np.zeros((201, 0)), y).to_json())
+    m = jb.LinearSystem(A, None, [[1, 0]], noise=0.1, horizon=150)
+    y = np.round(rng.uniform(-0.1, 0.1, (151, 1)), 3)
+    y[75:] += 1
+    document = json.loads(certify(jb.parity_relations(m), np.zeros((151, 0)), y).to_json())
     check_certificate.confirm(document)
     assert document["certificate"] == "FAULT" and refused(corrupted(document, rng))
 
@@ -201,11 +201,11 @@ def test_the_certificate_agrees_with_the_verdict_of_a_long_window(name, rng):
     bound from below.
     """
     relations, gaps = plant(name)
-    windows = [window(relations, gaps, rng, bias=float(b)) for b in rng.uniform(0, 4, 15)]
+    windows = [window(relations, gaps, rng, bias=float(b)) for b in rng.uniform(0, 4, 9)]
     res = jb.detect(relations, *(np.stack(x) for x in zip(*windows, strict=True)), margins="exact")
     s = relations.horizon
     decided = np.flatnonzero(np.isin(res.status[:, s], (Status.FAULT, Status.CONSISTENT)))
-    assert len(decided) > 10
+    assert len(decided) > 6
     for i in decided.tolist():
         c = res.explain((i, s))
         assert c.proves == res.status[i, s] and 1 - res.margin[i, s] <= float(c.factor) * (1 + 1e-7)

@@ -70,7 +70,7 @@ def test_the_true_fault_is_never_excluded(kind, tolerance, rng):
         disturbance=([[1], [1]], "0.05"),
     )
     relations, weighed, inverted = jb.parity_relations(model, 2), 0, 0
-    for _ in range(30):
+    for _ in range(24):
         f, since = F(int(rng.integers(-300, 300)), 100), int(rng.integers(0, 3))
         certificate = certify(relations, *recorded(rng, model, kind, f, since, 3))
         if certificate.proves != Status.FAULT:

@@ -70,7 +70,7 @@ def test_a_missing_output_gives_the_verdict_of_the_program_without_its_row(horiz
 
 
 def test_the_margin_is_the_gauge_of_the_program(rng):
-    r, oracle, u, y = prepared(LEAK, 2, 60, rng)
+    r, oracle, u, y = prepared(LEAK, 2, 30, rng)
     np.testing.assert_allclose(
         last(jb.detect(r, u, y).margin), 1 - oracle.gauge_by_program(u, y), rtol=1e-7, atol=1e-9
     )

@@ -95,6 +95,7 @@ def test_steps_and_bursts_equal_detect_bit_by_bit(rng, name, dtype):
 
 
 @pytest.mark.compiled
+@pytest.mark.long(by_day="test_the_exchange_search_with_missing_samples")
 def test_the_exchange_search_too(rng):
     r = jb.parity_relations(paper(), 20)
     u, y = recording(rng, r.model, 1600, spread=1.03)

@@ -212,7 +212,7 @@ def miscopied(numbers):
 def test_what_a_device_copied_wrongly_proves_nothing(rng):
     """Numbers of relations are placed once and lie on the device; windows are read there."""
     relations = RELATIONS["uncertain"]()
-    u, y = healthy("uncertain", relations.model, rng, 4, 60)
+    u, y = healthy("uncertain", relations.model, rng, 2, 20)
     said = pytest.warns(Doubtful, match="on a device that was not examined: .* UNDECIDED$")
     terms_of = parametric_windows.terms_of
 

@@ -24,12 +24,12 @@ SLOW = jb.LinearSystem(
 
 def recorded(rng):
     """Return u, y of a recording with faults here and there."""
-    u, x, y = rng.uniform(-1, 1, (60, 1)), np.zeros(2), np.zeros((60, 2))
+    u, x, y = rng.uniform(-1, 1, (30, 1)), np.zeros(2), np.zeros((30, 2))
     A, B, C, D = (np.array(getattr(MODEL, name), float) for name in "ABCD")
-    for k in range(60):
+    for k in range(30):
         y[k] = C @ x + D @ u[k] + rng.uniform(-1, 1, 2) * [0.000214, 59]
         x = A @ x + B @ u[k]
-    y[20:40:5, 0] += 0.002
+    y[10:20:5, 0] += 0.002
     return u, y
 
 

@@ -115,9 +115,11 @@ def test_no_corruption_makes_a_fault(name, rng, corrupted):
     assert warned == (name != "long"), "what a search claims wrongly NumPy decides: nothing is in doubt"
 
 
-def test_no_corruption_makes_a_fault_of_a_million_windows(rng, corrupted):
+@pytest.mark.parametrize("part", [20, pytest.param(1, marks=pytest.mark.long)])
+def test_no_corruption_makes_a_fault_of_a_million_windows(part, rng, corrupted):
+    """By day a twentieth of them."""
     total = changed = 0
-    for name, recordings in (("strips", 700), ("bank", 300), ("float32", 100)):
+    for name, recordings in (("strips", 700 // part), ("bank", 300 // part), ("float32", 100 // part)):
         with pytest.MonkeyPatch.context() as patch:
             liar = Corrupted(rng, 0.05)
             relations = RELATIONS[name]()
@@ -128,7 +130,7 @@ def test_no_corruption_makes_a_fault_of_a_million_windows(rng, corrupted):
         assert not (status == Status.FAULT).any()
         total, changed = total + status.size, changed + liar.changed
     print(f"{total} verdicts, {changed} numbers corrupted, 0 FAULT")
-    assert total > 10**6 and changed > 10**4
+    assert total >= 1_100_000 / part and changed > 10**5 / part
 
 
 @pytest.mark.parametrize("name", RELATIONS)

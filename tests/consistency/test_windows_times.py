@@ -228,28 +228,40 @@ def test_a_combination_contradicts_by_the_factors_alone():
     assert four.sum() < one.sum() < half.sum()
 
 
-def test_margins_are_those_of_detect_and_have_derivatives():
+def beside_vertices(kind):
+    """Return (relations, table, Result): at vertices margins have two slopes."""
+    rng, (model, window, factors) = drawn(kind)
+    table, _ = recording(rng, model, factors, 40, 1.2)
+    table[list(model.outputs)] += 0.02 * rng.normal(size=(40, model.p))
+    relations = jb.parity_relations(model, **window)
+    return relations, table, jb.detect(relations, table, margins="exact")
+
+
+@pytest.mark.parametrize("kind", ["strips", "search"])
+def test_margins_are_those_of_detect(kind):
+    relations, table, found = beside_vertices(kind)
+    np.testing.assert_allclose(jb.margins(relations, table), found.margin, atol=1e-9)
+
+
+@pytest.mark.long(
+    by_day="consistency/test_missing_data::test_gradient_by_the_bounds_equals_finite_differences"
+)
+@pytest.mark.parametrize("kind", ["strips", "search"])
+def test_margins_have_derivatives(kind):
     import jax
 
-    for kind in ("strips", "search"):
-        rng, (model, window, factors) = drawn(kind)
-        table, _ = recording(rng, model, factors, 40, 1.2)
-        # vertices have two slopes
-        table[list(model.outputs)] += 0.02 * rng.normal(size=(40, model.p))
-        relations = jb.parity_relations(model, **window)
-        found, margins = jb.detect(relations, table, margins="exact"), jb.margins(relations, table)
-        np.testing.assert_allclose(margins, found.margin, atol=1e-9)
-        given = jb.Recording.of(model, table)
-        k = int(np.nanargmin(found.margin))
-        bounds = relations.bounds
+    relations, table, found = beside_vertices(kind)
+    given = jb.Recording.of(relations.model, table)
+    k = int(np.nanargmin(found.margin))
+    bounds = relations.bounds
 
-        def margin(noise, relations=relations, given=given, k=k):
-            return jb.margins(relations.with_bounds({"noise": noise}), given.u, given.y)[k]
+    def margin(noise):
+        return jb.margins(relations.with_bounds({"noise": noise}), given.u, given.y)[k]
 
-        slope = jax.grad(margin)(bounds["noise"])
-        step = 1e-6
-        ahead = margin(bounds["noise"] + step) - margin(bounds["noise"] - step)
-        np.testing.assert_allclose(ahead / (2 * step), slope.sum(), rtol=1e-3)
+    slope = jax.grad(margin)(bounds["noise"])
+    step = 1e-6
+    ahead = margin(bounds["noise"] + step) - margin(bounds["noise"] - step)
+    np.testing.assert_allclose(ahead / (2 * step), slope.sum(), rtol=1e-3)
 
 
 def test_half_of_a_bound_times_two_is_the_bound():

@@ -11,7 +11,7 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.sets.floats.status import Status
 
-RUNS, SAMPLES = 2500, 201
+RUNS, SAMPLES = 500, 201
 SHARP = {
     "paper": (1e-11, 2e-4),
     "three states": (1e-11, 2e-4),
@@ -31,29 +31,30 @@ def new_key(rng):
 
 
 @pytest.mark.parametrize(
-    "dtype, at",
+    "dtype, at, runs",
     [
-        (np.float64, "vertices"),
+        (np.float64, "vertices", 250),
         *(
-            pytest.param(d, at, marks=pytest.mark.long)
-            for d, at in ((np.float64, "uniform"), (np.float32, "vertices"), (np.float32, "uniform"))
+            pytest.param(dtype, at, 2500, marks=pytest.mark.long)
+            for dtype in (np.float64, np.float32)
+            for at in ("vertices", "uniform")
         ),
     ],
 )
-def test_a_million_fault_free_windows_raise_no_fault(dtype, at, rng):
-    """Horizons 1 and 2 of 2500 runs: a million windows a case."""
-    u = np.repeat(rng.uniform(-1, 1, (RUNS, 11, 1)), 20, 1)[:, :SAMPLES].astype(dtype)
+def test_a_million_fault_free_windows_raise_no_fault(dtype, at, runs, rng):
+    """Horizons 1 and 2 of 2500 runs: a million windows a case; by day a tenth."""
+    u = np.repeat(rng.uniform(-1, 1, (runs, 11, 1)), 20, 1)[:, :SAMPLES].astype(dtype)
     t = jb.simulate(paper(), u, new_key(rng), at=at)
     windows, worst = 0, np.inf
     for horizon in (1, 2):
         res = jb.detect(jb.parity_relations(paper(), horizon=horizon), t.u, t.y)
         assert res.margin.dtype == dtype
         assert res.counts["FAULT"] == 0
-        assert res.counts["MISSING"] == RUNS * horizon
+        assert res.counts["MISSING"] == runs * horizon
         windows += res.counts["CONSISTENT"] + res.counts["UNDECIDED"]
         worst = min(worst, res.margin[:, horizon:].min())
     print(f"{windows} windows, {res.counts}, smallest margin {worst:.3g}")
-    assert windows == RUNS * (2 * SAMPLES - 3)
+    assert windows == runs * (2 * SAMPLES - 3)
 
 
 def test_a_double_recording_in_single_precision_raises_no_fault(at_vertices):
@@ -61,7 +62,7 @@ def test_a_double_recording_in_single_precision_raises_no_fault(at_vertices):
     with jax.enable_x64(False):
         res = jb.detect(jb.parity_relations(paper()), u, y)
     assert res.margin.dtype == np.float32 and res.counts["FAULT"] == 0
-    assert res.counts["CONSISTENT"] > 200_000
+    assert res.counts["CONSISTENT"] > 40_000
 
 
 def test_a_recording_in_half_precision_is_refused_for_its_unstated_rounding():
@@ -74,7 +75,7 @@ def test_unknowns_at_their_bounds_lie_on_the_boundary(at_vertices):
     assert (
         np.asarray(jb.margins(jb.parity_relations(paper(), horizon=1), at_vertices.u, at_vertices.y))[:, 1:]
         < 1e-12
-    ).sum() > 1000
+    ).sum() > 200
 
 
 LEVELS = {

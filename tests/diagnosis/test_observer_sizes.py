@@ -37,25 +37,25 @@ def test_a_fault_of_that_size_is_seen_by_then_whatever_the_errors(watch, least):
         and min(size.sizes.values()) == pytest.approx(size)
         and size < jb.detectable(PLANT, "T1", horizon=3)
     )
-    u = 2 + np.random.default_rng(0).normal(size=(20, 160, 1))
+    u = 2 + np.random.default_rng(0).normal(size=(20, 100, 1))
     y = [
         jb.simulate(PLANT, u, jax.random.key(key), at=at).y for key, at in enumerate(("vertices", "uniform"))
     ]
-    fault = 1.001 * float(size) * (np.arange(160)[:, None] >= 120) * [1, 0]
+    fault = 1.001 * float(size) * (np.arange(100)[:, None] >= 60) * [1, 0]
     wrong = np.concatenate([np.concatenate(y) + sign * fault for sign in (1, -1)])
     status = jb.detect(watch, np.concatenate([u] * 4), wrong).status
-    assert (status[:, :120] != jb.Status.FAULT).all()
-    assert (status[:, 120 : 121 + size.horizon] == jb.Status.FAULT).any(1).all()
+    assert size.horizon < 40 and (status[:, :60] != jb.Status.FAULT).all()
+    assert (status[:, 60 : 61 + size.horizon] == jb.Status.FAULT).any(1).all()
 
 
 def test_half_of_it_may_hide_where_errors_are_in_the_middle(watch):
     """Without any error the shift itself is what is off: half the size is at the edge."""
     size = float(jb.detectable(watch, "T2"))
-    x, y = np.zeros(2), np.empty((2, 300, 2))
-    for k in range(300):
+    x, y = np.zeros(2), np.empty((2, 150, 2))
+    for k in range(150):
         y[:, k], x = x + [20, -3], np.array([[0.9, 0.05], [0, 0.9]]) @ x + [0.001, 0]
-    y[:, 200:, 1] += size * np.array([[0.49], [0.51]])
-    status = jb.detect(watch, np.full((2, 300, 1), 2.0), y).status
+    y[:, 80:, 1] += size * np.array([[0.49], [0.51]])
+    status = jb.detect(watch, np.full((2, 150, 1), 2.0), y).status
     assert (status == jb.Status.FAULT).any(1).tolist() == [False, True]
 
 
@@ -80,30 +80,28 @@ def test_drifts_and_actuators_and_what_is_not_worked_out(watch):
         )
 
 
+@pytest.mark.long(by_day="test_a_fault_of_that_size_is_seen_by_then_whatever_the_errors")
 def test_a_study_of_an_observer_counts_no_false_alarm_and_every_sample_of_the_fault(watch, least):
     size = float(least)
     found = jb.study(
         PLANT,
         ["T1:bias"],
-        20,
+        8,
         0,
         watch,
-        samples=90,
+        samples=50,
         sizes=[0.05 * size, 1.01 * size],
-        onset=60,
+        onset=30,
         at="vertices",
     )
     table = found.to_pandas()
-    assert found.false_alarms == (0, 20 * 60) and found.settings["method"] == "observer"
+    assert found.false_alarms == (0, 8 * 30) and found.settings["method"] == "observer"
     assert table["share"].tolist()[1] == 1 and table["delay_90"].tolist()[1] <= least.horizon
-    assert table["windows"].tolist() == [10 * 30] * 2
+    assert table["windows"].tolist() == [4 * 20] * 2
 
 
 def test_verbs_that_need_windows_say_so(watch):
-    u, y = (
-        np.full((80, 1), 2.0),
-        np.full((80, 2), 0.0),
-    )  # more than a short piece: its kernel is compiled already
+    u, y = np.full((20, 1), 2.0), np.full((20, 2), 0.0)
     res = jb.detect(watch, u, y + [20, -3])
     for work, kind, says in (
         (lambda: jb.margins(watch, u, y), NotImplementedError, "margins are those of windows"),

@@ -61,7 +61,7 @@ def test_steps_and_bursts_say_what_detect_says():
     relations, starts = jb.parity_relations(paper(ranges=SEEN), 5), [60, 160]
     res = jb.detect(relations, u, y, starts=starts)
     mon = Monitor(relations)
-    for cuts in ([0, 3, 4, 200, 201, 400], list(range(0, 401))):
+    for cuts in ([0, 3, 4, 200, 201, 400], [0, *range(140, 221), 400]):
         state, found = mon.init(), []
         for a, b in zip(cuts, cuts[1:], strict=False):
             state, verdict = mon.run(state, u[a:b], y[a:b], starts=[k - a for k in starts if a <= k < b])

@@ -8,6 +8,7 @@ from scipy.optimize import linprog
 
 import jaxbound as jb
 from jaxbound.sets import zonotope
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 
 PLANT = jb.LinearSystem(
     [["0.9", "0.2"], ["-0.1", "0.95"]],
@@ -106,6 +107,24 @@ def systems(rng, kind):
         offset={"u": 1.5, "y": [-20.25, 3]},
         **more,
     )
+
+
+def first_decided_in_numpy(monkeypatch, kind, doubted=slice(0)):
+    """Have NumPy take the place of XLA in the decisions of a kind of observers that are taken twice, and call
+    samples FAULT there.
+    """
+    real = kind.found
+
+    def found(self, carry, samples):
+        if is_outside_xla():
+            return real(self, carry, samples)
+        with outside_xla():
+            state, verdicts = real(self, carry, samples)
+        status = np.array(verdicts.status)
+        status[doubted] = jb.Status.FAULT
+        return state, verdicts._replace(status=status)
+
+    monkeypatch.setattr(kind, "found", found)
 
 
 def _scaled(A):

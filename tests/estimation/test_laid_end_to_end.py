@@ -8,15 +8,14 @@ import jax
 import numpy as np
 import pandas as pd
 import pytest
-from observer_case import inside, recorded, systems
+from observer_case import first_decided_in_numpy, inside, recorded, systems
 
 import jaxbound as jb
 from jaxbound.consistency.twice import Doubtful
 from jaxbound.estimation import joint_observer
 from jaxbound.estimation.validation_observer import ValidationObserver
 from jaxbound.recordings.recording import Recording
-
-pytestmark = pytest.mark.compiled
+from jaxbound.sets.floats.kernel import outside_xla
 
 PLANT = jb.LinearSystem([["0.999"]], [[1]], [[1]], noise="0.1", dt=1, inputs="u", outputs="y")
 JUMPS = Fraction("0.2"), Fraction("0.3"), Fraction(50)
@@ -89,12 +88,12 @@ def test_in_pieces_of_any_size_too(block, how, size):
 
 def test_behind_a_gap_where_blocks_begin_verdicts_are_those_of_a_recording_of_its_own():
     """Those of a slow fault too, and for as long as it lasts."""
-    T = 64
-    for gap in (5, 10, 20):
+    T = 32
+    for gap in (4, 8):
         u, y, _ = laid_end_to_end(gap, T)
-        y[:, gap + 10 :, 0] += 0.015 * np.arange(T - gap - 10)
+        y[:, gap + 10 :, 0] += 0.03 * np.arange(T - gap - 10)
         for restart in (True, False):
-            watch = jb.observer(PLANT, "joint", window=10, restart=restart)
+            watch = jb.observer(PLANT, **JOINT, restart=restart)
             whole, alone = jb.detect(watch, u, y, starts=[gap]), jb.detect(watch, u[:, gap:], y[:, gap:])
             np.testing.assert_array_equal(whole.status[:, gap:], alone.status)
             np.testing.assert_allclose(whole.margin[:, gap:], alone.margin, rtol=1e-9, atol=1e-9)
@@ -103,15 +102,16 @@ def test_behind_a_gap_where_blocks_begin_verdicts_are_those_of_a_recording_of_it
 
 def test_a_set_that_outlives_a_gap_is_not_believed_twice(monkeypatch):
     """The first decision forgets no gap on purpose: the second one begins behind it, with the samples."""
-    u, y, _ = laid_end_to_end(20, 40)
-    watch = jb.observer(PLANT, "joint", window=10)
+    u, y, _ = laid_end_to_end(8, 16)
+    watch = jb.observer(PLANT, **JOINT)
     monkeypatch.setattr(joint_observer, "_believed", lambda state, *sets: state)
     state = watch.init()
-    _, samples = watch.side_by_side(state, Recording.of(PLANT, u, y, [20]))
+    _, samples = watch.side_by_side(state, Recording.of(PLANT, u, y, [8]))
     _, once = watch.found(state, samples)
     assert (once.status == jb.Status.FAULT).any()
-    with pytest.warns(Doubtful):
-        status = jb.detect(watch, u, y, starts=[20]).status
+    first_decided_in_numpy(monkeypatch, joint_observer.JointObserver)
+    with outside_xla(False), pytest.warns(Doubtful):
+        status = jb.detect(watch, u, y, starts=[8]).status
     assert not (status == jb.Status.FAULT).any()
 
 
@@ -136,7 +136,7 @@ def test_however_a_gap_is_told_at_any_sample_it_ends_what_was_known(kind):
     if kind == "where":
         model = PLANT.replace(columns={"where": "on > 0"})
     watch, found = jb.observer(model, **JOINT), {}
-    for gap in range(8, 13):
+    for gap in (8, 9):
         _, y, _ = laid_end_to_end(gap, gap + 6)
         for i in range(len(JUMPS)):
             table, starts = as_read(kind, pd.DataFrame({"u": 0.0, "y": y[i, :, 0]}), gap)
@@ -148,7 +148,7 @@ def test_means_across_a_gap_at_any_row():
     """A state that stays: the mean of two rows obeys the model as each does."""
     model = PLANT.replace(A=[[1]], dt=2, columns={"every": "2s"})
     watch, found = jb.observer(model, **JOINT), {}
-    for gap in range(8, 17):
+    for gap in range(8, 12):
         for wait in (600, 601):
             seconds = np.arange(40) + float(wait) * (np.arange(40) >= gap)
             y = np.where(np.arange(40) < gap, 0.0, 50.0) + np.where(np.arange(40) % 3, 0.09, -0.09)
@@ -167,7 +167,7 @@ def test_a_monitor_whose_mode_changes_at_any_sample(before, after):
     ]
     bank, found = jb.monitor(PLANT, tests), {}
     monitor = jb.Monitor(bank)
-    for gap in range(8, 13):
+    for gap in (4, 5):
         _, y, _ = laid_end_to_end(gap, gap + 6)
         mode = np.where(np.arange(gap + 6) < gap, before, after)
         for i in range(len(JUMPS)):
@@ -183,7 +183,7 @@ def test_a_monitor_whose_mode_changes_at_any_sample(before, after):
 
 def test_a_monitor_that_is_told_of_a_gap_at_any_sample():
     monitor, found = jb.Monitor(jb.observer(PLANT, **JOINT)), {}
-    for gap in range(4, 9):
+    for gap in (4, 5):
         _, y, _ = laid_end_to_end(gap, gap + 6)
         for i in range(len(JUMPS)):
             state, status = monitor.init(), []
@@ -196,7 +196,7 @@ def test_a_monitor_that_is_told_of_a_gap_at_any_sample():
 
 def test_validation_begins_anew_at_any_sample():
     observer, found = ValidationObserver(PLANT), {}
-    for gap in range(2, 15):
+    for gap in (2, 3, 7, 14):
         u, y, x = laid_end_to_end(gap, 17)
         found[gap] = wrong(jb.validate(PLANT, u, y, starts=[gap]), x)
         carry = observer.init()
@@ -228,7 +228,7 @@ def many_laid_end_to_end(rng, seeds, N, block, **how):
 
 
 def test_random_plants_laid_end_to_end(rng):
-    assert many_laid_end_to_end(rng, (0, 5), 24, 4, method="joint", window=8, order=6) > 24 * 20
+    assert many_laid_end_to_end(rng, [8], 24, 4, method="joint", window=8, order=6) > 24 * 12
 
 
 @pytest.mark.long(by_day="test_random_plants_laid_end_to_end")

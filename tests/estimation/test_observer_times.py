@@ -24,6 +24,7 @@ def followed(model, method, **options):
     return jb.observer(model, method, **(METHODS[method] | options))
 
 
+@pytest.mark.usefixtures("searched_in_numpy")
 @pytest.mark.parametrize("method", METHODS)
 def test_a_fault_is_one_by_a_linear_program_over_all_samples(method, rng):
     seen = 0

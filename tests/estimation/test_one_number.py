@@ -7,6 +7,7 @@ import re
 import jax
 import numpy as np
 import pytest
+from observer_case import PLANT
 
 import jaxbound as jb
 from jaxbound.estimation import zonotope_steps
@@ -47,8 +48,8 @@ def compiled(monkeypatch, module, name, call):
 
 
 def observed(method):
-    model = jb.LinearSystem([["9/10", "1/10"], ["0", "4/5"]], None, np.eye(2).tolist(), noise=0.1)
-    return lambda: jb.observe(model, None, np.zeros((40, 2)), method=method)
+    """Of a size that tests of observers compile."""
+    return lambda: jb.observe(PLANT, np.zeros((16, 1)), np.zeros((16, 1)), method=method)
 
 
 def tightened():

@@ -110,7 +110,7 @@ def lost(rng, count, T=(20, 60)):
 
 
 def test_the_true_parameters_are_never_lost(rng):
-    assert lost(rng, 4) == (0, 0)
+    assert lost(rng, 4, (12, 24)) == (0, 0)
 
 
 @pytest.mark.long(by_day="test_the_true_parameters_are_never_lost")
@@ -180,7 +180,7 @@ def test_every_value_that_linear_programs_explain_is_in_the_set(rng, plant):
     found = jb.parameters(RELATIONS[plant], u, y)
     assert found.contains(values)
     explained = left_out = 0
-    for _ in range(150):
+    for _ in range(60):
         share = rng.uniform(-0.1, 1.1, len(found.names))
         point = {}
         for p, t, (lo, hi) in zip(PLANTS[plant][1], share, found.hull.values(), strict=True):
@@ -320,8 +320,8 @@ def test_long_recordings_are_asked_in_parts_and_whole_at_the_end(rng, monkeypatc
     assert jb.parameters(RELATIONS[plant], u, y, budget=1).status == "FAULT"
 
 
-@pytest.mark.parametrize("count", [1, 5])
-def test_errors_of_every_kind_lose_nothing(rng, count):
+@pytest.mark.parametrize("count, horizons", [(1, [1]), pytest.param(5, [1, 2], marks=pytest.mark.long)])
+def test_errors_of_every_kind_lose_nothing(rng, count, horizons):
     """Tolerances, noise, a disturbance and a quantised recording about an operating point, all at their
     bounds; two outputs.
     """
@@ -337,11 +337,11 @@ def test_errors_of_every_kind_lose_nothing(rng, count):
         offset={"u": [2], "y": [10, 5]},
         uncertainties=[gain, leak],
     )
-    relations = {s: jb.parity_relations(m, s) for s in (1, 2)}
+    relations = {s: jb.parity_relations(m, s) for s in horizons}
     for _ in range(count):
         k, lost = Fraction(int(rng.integers(50, 151)), 100), Fraction(int(rng.integers(0, 31)), 100)
         x, u, y = Fraction(int(rng.integers(-8, 9)), 4), [], []
-        for now in rng.integers(-4, 5, int(rng.integers(10, 40))).tolist():
+        for now in rng.integers(-4, 5, int(rng.integers(10, 20))).tolist():
             theta, n1, n2 = (int(e) for e in rng.choice([-1, 1], 3))
             first = (1 + theta * Fraction(2, 100)) * x + n1 * Fraction(1, 100) + 10
             y.append([float(Fraction(round(first * 100), 100)), float(x / 2 + n2 * Fraction(2, 100) + 5)])
@@ -349,7 +349,7 @@ def test_errors_of_every_kind_lose_nothing(rng, count):
             w = Fraction(int(rng.choice([-1, 3])), 100)
             x = (Fraction(9, 10) - lost) * x + k / 2 * now + w
         for r in relations.values():
-            found = jb.parameters(r, u, y, precision=0.2, budget=300)
+            found = jb.parameters(r, u, y, precision=0.2, budget=40)
             assert found.contains({"k": k, "leak": lost}) and found.status != "FAULT"
             assert found.share < 0.5
 
@@ -445,12 +445,12 @@ def test_parameters_that_vary_may_be_anything_at_each_sample(rng):
 def test_a_residual_says_the_same_of_its_constant_unknowns(rng):
     plant = "pole and gain"
     values = drawn(plant, rng)
-    u, y = simulated(plant, values, rng, 30, extreme=False)
+    u, y = simulated(plant, values, rng, 16, extreme=False)
     equation = lambda z, u, y: y[1, 0] - z[2] - z[0] * (y[0, 0] - z[3]) - z[1] * u[0, 0]
     box = jb.interval([0.4, 0.5, -0.05, -0.05], [0.9, 2.0, 0.05, 0.05])
     r = jb.residual(equation, box, horizon=1)
-    found = jb.parameters(r, u, y, constant={"a": 0, "b": 1})
-    same = jb.parameters(RELATIONS[plant], u, y)
+    found = jb.parameters(r, u, y, precision=1 / 8, constant={"a": 0, "b": 1})
+    same = jb.parameters(RELATIONS[plant], u, y, precision=1 / 8)
     assert found.contains(values)
     for name in ("a", "b"):
         width = same.hull[name][1] - same.hull[name][0]
@@ -462,13 +462,14 @@ def test_a_residual_says_the_same_of_its_constant_unknowns(rng):
 
 def test_float32_recordings_lose_nothing(rng):
     plant = "second order"
-    for _ in range(5):
+    for _ in range(2):
         values = drawn(plant, rng)
         u, y = simulated(plant, values, rng, 40)
         found = jb.parameters(RELATIONS[plant], u.astype(np.float32), y.astype(np.float32), budget=300)
         assert found.contains(values)
 
 
+@pytest.mark.long(by_day="test_the_true_parameters_are_never_lost")
 def test_grey_boxes_have_their_time_constant_estimated(rng):
     import jax.numpy as jnp
 

@@ -15,11 +15,9 @@ Status = jb.Status
 
 @pytest.mark.parametrize("method", [pytest.param("joint", marks=pytest.mark.long), "sequential"])
 def test_the_paper_s_system(rng, method):
-    """One compiled shape for all claims: fault-free, faults found and located, a missing sensor, a long
-    loss.
-    """
+    """Fault-free, faults found and located, a missing sensor, a long loss."""
     m = paper()
-    u, x, y = record(rng, m, 16)
+    u, x, y = record(rng, m, 4)
     unit = reference_width(m, u, y) / 0.573
     healthy = jb.validate(m, u, y, method=method)
     assert inside(healthy, x).all() and not healthy.faulty.any()

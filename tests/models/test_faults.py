@@ -8,6 +8,8 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.models import simulate as module
 
+pytestmark = pytest.mark.usefixtures("simulated_by_xla")
+
 SENSOR = ("bias", "drift", "gain", "noise", "tolerance", "stuck", "dropout")
 ACTUATOR = ("bias", "drift", "gain", "noise", "stuck", "dropout")
 N, T, SIZE = 300, 40, 0.3

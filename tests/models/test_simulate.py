@@ -12,6 +12,9 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.models import simulate as module
+from jaxbound.sets.floats.kernel import kernel, outside_xla
+
+pytestmark = pytest.mark.usefixtures("simulated_by_xla")
 
 HARD = {
     **MODELS,
@@ -252,6 +255,17 @@ def test_what_does_not_fit_is_refused(change, message):
 def test_something_that_is_no_model_is_refused():
     with pytest.raises(TypeError, match="a model is a LinearSystem, or .* not dict"):
         jb.simulate({}, np.zeros((5, 1)), jax.random.key(0))
+
+
+def test_numpy_follows_a_plant_to_the_same_bits(rng, monkeypatch):
+    """As most other tests have it."""
+    u, k = inputs("paper", (64,), rng), key(rng)
+    by_xla = jb.simulate(paper(), u, k)
+    monkeypatch.setattr(module, "_trajectory", kernel(module._trajectory.__wrapped__))
+    with outside_xla():
+        in_numpy = jb.simulate(paper(), u, k)
+    np.testing.assert_array_equal(in_numpy.x, by_xla.x)
+    np.testing.assert_array_equal(in_numpy.y, by_xla.y)
 
 
 def test_recordings_of_many_lengths_are_compiled_once_and_begin_alike(rng):

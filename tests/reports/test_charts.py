@@ -163,15 +163,16 @@ class TestRecorded:
         assert decode(whole["series"]["s1"][1]).max() == 7 and whole["status"].count("3") == len(alarms)
         assert len(found["near"]) == len(found["alarms"]) == len(alarms)
 
-    def test_a_million_rows_and_200_alarms_are_one_megabyte(self, tmp_path):
-        T = 1_000_000
+    @pytest.mark.parametrize("T", [200_000, pytest.param(1_000_000, marks=pytest.mark.long)])
+    def test_a_million_rows_and_200_alarms_are_one_megabyte(self, T, tmp_path):
         status = np.full(T, CONSISTENT, np.int8)
-        status[0], status[3_000:T:4_321] = MISSING, FAULT
+        status[0], status[3_000 :: T // 230] = MISSING, FAULT
         res = synthetic(status)
         object.__setattr__(res, "y", np.random.default_rng(0).normal(size=(T, 2)))
-        size = len(page_of(tmp_path, res, recording_of(res), res.alarms()))
+        alarms = res.alarms()
+        size = len(page_of(tmp_path, res, recording_of(res), alarms))
         print(f"{size} bytes for {T} rows")
-        assert size < 1_300_000
+        assert len(alarms) > 200 and size < 1_300_000
 
     def test_a_bin_holds_every_extreme_of_its_samples(self, rng):
         y, most = rng.normal(size=60_000), 1000
@@ -334,18 +335,18 @@ class TestExpected:
         relations, u, y = case
         band = expected_readings(relations, u, y)
         assert np.isnan(band.lo[:3]).all() and (band.lo[3:] <= y[3:]).all() and (y[3:] <= band.hi[3:]).all()
-        decided = 0
+        windows = []  # (inputs, outputs, what they are)
         for k in range(3, 40, 5):
             for i in range(2):
                 size = band.hi[k, i] - band.lo[k, i]
                 for end, out in ((band.lo[k, i], -1), (band.hi[k, i], 1)):
-                    for step, expected in ((out, {FAULT}), (-out, {CONSISTENT})):
+                    for step, expected in ((out, FAULT), (-out, CONSISTENT)):
                         window = y[k - 3 : k + 1].copy()
                         window[3, i] = end + 1e-4 * step * size
-                        status = jb.detect(relations, u[k - 3 : k + 1], window).status[3]
-                        assert {status} == expected, (k, i, step)
-                        decided += 1
-        assert decided == 64
+                        windows.append((u[k - 3 : k + 1], window, expected))
+        inputs, outputs, expected = map(np.array, zip(*windows, strict=True))
+        assert len(expected) == 64
+        np.testing.assert_array_equal(jb.detect(relations, inputs, outputs).status[:, 3], expected)
 
     def test_a_missing_sample_has_a_band_and_spoils_those_that_need_it(self, case):
         relations, u, y = case
