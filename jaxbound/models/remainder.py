@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.inclusion.derivatives import plain
 from jaxbound.sets.inclusion.functions import forgets
 from jaxbound.sets.inclusion.jaxprs import evaluate, refuse_unsupported
@@ -74,8 +75,8 @@ def plane(
     """
     box = interval(np.array(lo, object), np.array(hi, object))
     c = mid(box)
-    slopes = _at(f, c)
-    slopes = slopes.at[:, len(c) - level :].set(0)
+    slopes = np.array(_at(f, c))
+    slopes[:, len(c) - level :] = 0
     found = _remainders((f, *smooth), _cells(f, box, c), c, slopes)
     ends = np.stack([np.asarray(found.lo).min(0), np.asarray(found.hi).max(0)], 1)
     exact = np.vectorize(_exact, otypes=[object])
@@ -109,7 +110,7 @@ def _like(x: jax.Array) -> jax.ShapeDtypeStruct:
 
 
 @forgets
-@partial(jax.jit, static_argnums=0)
+@kernel(static_argnums=0)
 def _at(f: Function, x: jax.Array) -> jax.Array:
     """Return the derivatives of f at a point, in plain floats, 0 where they are infinite: a choice, not a
     proof.
@@ -125,7 +126,7 @@ def _cells(f: Function, box: Interval, c: jax.Array) -> Interval:
     N, lo, hi = len(c), np.asarray(box.lo), np.asarray(box.hi)
     ends = np.tile(np.asarray(c), (2 * N, 1))
     ends[np.arange(N), np.arange(N)], ends[N + np.arange(N), np.arange(N)] = lo, hi
-    slopes = np.stack([_at(f, jnp.asarray(end)) for end in ends])
+    slopes = np.stack([_at(f, end) for end in ends])
     change = (np.abs(slopes[:N] - slopes[N:]).sum(1) * (hi - lo)).sum(1)
     cuts = np.ones(N, int)
     while cuts.prod() < CELLS:
@@ -146,7 +147,7 @@ def _grid(axes: list[np.ndarray]) -> jax.Array:
 
 
 @forgets
-@partial(jax.jit, static_argnums=0)
+@kernel(static_argnums=0)
 def _remainders(
     functions: tuple[Function, ...], cells: Interval, c: jax.Array, slopes: jax.Array
 ) -> Interval:

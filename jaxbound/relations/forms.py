@@ -77,7 +77,7 @@ def forms(
 
 def _blanked(form: jax.Array, samples: np.ndarray) -> jax.Array:
     """Return a form with NaN at some samples."""
-    return form.at[..., samples, :].set(jnp.nan)
+    return jnp.asarray(form).at[..., samples, :].set(jnp.nan)
 
 
 def over_samples(x: jax.Array, s: int) -> jax.Array:

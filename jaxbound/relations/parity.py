@@ -53,6 +53,7 @@ from jaxbound.relations.lags import checked_lags, lagged, over_all_rows
 from jaxbound.relations.sentence import main_terms, relation_text
 from jaxbound.relations.still import moving
 from jaxbound.relations.uncertain import UncertainRelations, uncertain_relations
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.strips.separation import Frame, frame_of
 from jaxbound.sets.strips.strips import Strips, strips_of
 from jaxbound.text.objects import readable
@@ -220,7 +221,7 @@ class ParityRelation(Formed, LinearRelations):
         return "\n".join(lines)
 
 
-@jax.jit
+@kernel
 def _forms(reading: Reading, u: jax.Array, y: jax.Array) -> Forms:
     """Return the Forms (T, count) of the relations one by one."""
     s, windows = reading.horizon, reading.windows(u, y)

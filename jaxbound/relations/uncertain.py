@@ -41,6 +41,7 @@ from jaxbound.relations.polynomial import Exponents, PolynomialMatrix, Terms, st
 from jaxbound.relations.sentence import bracketed, few_lines, joined, number_text, row_name, sample_names
 from jaxbound.relations.uncertain_window import Variable, uncertain_window
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.strips.polynomials import closure
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress
@@ -388,12 +389,12 @@ def _floats(matrix: PolynomialMatrix, alphas: Sequence[Exponents], dtype: DTypeL
     return out
 
 
-@jax.jit
+@kernel
 def _polynomials(reading: PolynomialReading, u: jax.Array, y: jax.Array) -> Polynomials:
     return reading.polynomials(u, y)
 
 
-@jax.jit
+@kernel
 def _forms(reading: PolynomialReading, u: jax.Array, y: jax.Array) -> Forms:
     """Return the Forms (T, count): every monomial and noise at its worst by itself."""
     s, count = reading.horizon, y.shape[0] - reading.horizon

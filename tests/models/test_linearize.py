@@ -218,7 +218,7 @@ def test_bad_input_is_told(change, sentence):
 def test_reactor_and_pendulum_obey_their_models(rng):
     region = {"x": [(0.4, 0.6), (3.4, 3.6)], "u": [(2.9, 3.1)]}
     m = linearize(reactor, [0.5, 3.5], [3.0], 0.05, region=region)
-    w = left_over(m, *steps(reactor, region, 0.05, rng, 60))
+    w = left_over(m, *steps(reactor, region, 0.05, rng, 30))
     hi = np.abs(floats(m.disturbance)).max(1)
     assert inside(w, m) and (np.abs(w).max(0) > 0.3 * hi).all()
 
@@ -227,7 +227,7 @@ def test_reactor_and_pendulum_obey_their_models(rng):
     m = linearize(pendulum, [0, 0], [0], 0.05, region=region, parameters=between)
     for _ in range(3):
         p = {name: rng.choice([lo, hi, rng.uniform(lo, hi)]) for name, (lo, hi) in between.items()}
-        w = left_over(m, *steps(pendulum, region, 0.05, rng, 24, p), p)
+        w = left_over(m, *steps(pendulum, region, 0.05, rng, 12, p), p)
         assert inside(w, m)
     assert {v.name for v in m.uncertainties} == {"length", "drag"} and np.abs(
         floats(m.disturbance)
@@ -264,6 +264,7 @@ def test_a_kink_is_enclosed_with_all_its_slopes(rng):
     assert lo <= r.min() and r.max() <= hi and hi - lo < 1.01 * np.ptp(r)
 
 
+@pytest.mark.compiled
 @pytest.mark.long(by_day="test_every_step_inside_the_region_obeys_the_model")
 @pytest.mark.parametrize("case", range(9))
 def test_random_plants_obey_their_models_about_any_point(case, rng):

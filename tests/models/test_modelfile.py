@@ -61,7 +61,7 @@ class TestRoundTrip:
         exact = Fraction(repr(x)) if isinstance(x, float) else Fraction(x)
         assert Fraction(number_text(exact)) == exact
 
-    @settings(deadline=None, max_examples=40)
+    @settings(deadline=None, max_examples=20)
     @given(st.data())
     def test_any_model_reads_back_exactly(self, tmp_path_factory, data):
         n, m, p, g = (data.draw(st.integers(low, 3)) for low in (1, 0, 1, 0))

@@ -223,20 +223,20 @@ def test_a_factor_without_a_value_takes_the_sample_with_it():
 
 def test_tuned_bounds_are_those_that_factors_leave():
     rng = np.random.default_rng(3)
-    fan = rng.uniform(-1, 1, 400)
+    fan = rng.uniform(-1, 1, 100)
     x, y = 0.0, []
     for value in fan:
         y.append([x, 2 * x])
         x = 0.9 * x + value
-    y = np.array(y) + rng.choice([-1, 1], (400, 2)) * np.stack([0.4 * (1 + abs(fan)), 0.1 + 0 * fan], 1)
+    y = np.array(y) + rng.choice([-1, 1], (100, 2)) * np.stack([0.4 * (1 + abs(fan)), 0.1 + 0 * fan], 1)
     table = pd.DataFrame({"fan": fan, "T": y[:, 0], "S": y[:, 1]})
     relations = jb.parity_relations(plant(noise=[0.6, 0.2]), 2)
-    tuned = tuning.tune(relations, table, safety=1.0, steps=50)
+    tuned = tuning.tune(relations, table, safety=1.0, steps=10)
     assert tuned.counts["FAULT"] == 0
     assert tuned.model.times == TIMES
     assert float(tuned.model.noise[0]) < 0.45
     plain = tuning.tune(
-        jb.parity_relations(plant(noise=[0.6, 0.2], times=None), 2), table, safety=1.0, steps=50
+        jb.parity_relations(plant(noise=[0.6, 0.2], times=None), 2), table, safety=1.0, steps=10
     )
     assert float(plain.model.noise[0]) > 0.6
 

@@ -42,7 +42,7 @@ CASES = {
     ),
     "lags": (dict(averages={"y1": {3: 0.2}, "w1": [([1, -1], 0.1)]}, disturbance=WALK), dict(lags=(0, 1, 6))),
 }
-SAMPLES, RUNS = 60, (8, 300, 1)
+SAMPLES, RUNS = 60, (8, 100, 1)
 SLOW = pytest.mark.long  # one more search compiled each
 
 
@@ -161,7 +161,7 @@ def test_windows_that_are_settled_first_have_margins_that_a_linear_program_confi
 def test_a_stretch_is_settled_with_the_inputs_that_runs_add_up():
     r = relations("disturbed")
     u = np.random.default_rng(6).uniform(-90, 90, (SAMPLES, 1))
-    y = np.array(jb.simulate(r.model, u, jax.random.key(2)).y)
+    y = np.array(jb.simulate(r.model, np.resize(u, RUNS), jax.random.key(2)).y)[0, :SAMPLES]
     given = r.test("joint", y.dtype).easy.stretches.constants
     proved = np.concatenate([np.zeros(r.horizon), _of_stretch(given, u, y)])
     assert (proved > 0).mean() > 0.4
@@ -353,9 +353,10 @@ def test_model_files_and_copies_keep_averages(tmp_path):
     assert model != model.replace(averages=None)
 
 
+@pytest.mark.compiled
 def test_tune_scales_averages_too():
     r = relations("short")
-    u = np.random.default_rng(0).uniform(-1, 1, (300, 1))
+    u = np.random.default_rng(0).uniform(-1, 1, (SAMPLES, 1))
     y = np.asarray(jb.simulate(r.model, u, jax.random.key(0)).y)
     found = jb.tune(r, (u, y), steps=0, safety=1.0)
     assert (

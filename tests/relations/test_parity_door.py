@@ -113,6 +113,7 @@ def test_external_without_inputs_needs_no_u():
     np.testing.assert_allclose(np.asarray(r.external(None, [[4.0], [1.0], [3.0]]))[1:, 0], [2, -5])
 
 
+@pytest.mark.compiled
 def test_external_keeps_leading_axes(rng):
     r, u, y = (
         jb.parity_relations(paper(), horizon=2),

@@ -218,7 +218,7 @@ class Kernel:
         numbers = (numbers,) if isinstance(numbers, int) else tuple(numbers)
         names = (names,) if isinstance(names, str) else tuple(names)
         self._static = {*names, *(self._names[i] for i in numbers)}
-        update_wrapper(self, function)
+        update_wrapper(self, function, updated=())  # a gradient of a kernel has that one's own attributes
 
     @property
     def wide(self) -> bool:
@@ -422,11 +422,18 @@ def _while(params):
 
     def run(*args):
         going, move, carry = test(*args[:asked]), step(*args[asked : asked + moved]), [*args[asked + moved :]]
-        while going(*carry)[0]:
-            carry = move(*carry)
+        while np.any(which := going(*carry)[0]):
+            moved_on = move(*carry)
+            carry = moved_on if not np.ndim(which) else _where_going(which, moved_on, carry)
         return carry
 
     return run
+
+
+def _where_going(going, new, old):
+    """Return the carry of loops side by side, that of those which have ended as it was."""
+    beside = lambda x: going.reshape(going.shape + (1,) * (x.ndim - going.ndim))
+    return [np.where(beside(x), x, kept) for x, kept in zip(new, old, strict=True)]
 
 
 def _scan(eqn):

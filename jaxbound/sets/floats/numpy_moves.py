@@ -160,7 +160,7 @@ def _gather(params):
             fill = params["fill_value"]
             if fill is None:
                 fill = np.nan if x.dtype.kind == "f" else 0
-            gone = outside.reshape(*outside.shape, *(1,) * (found.ndim - lead))
+            gone = outside.reshape((*outside.shape, *(1,) * (found.ndim - lead)))
             found = np.where(gone, np.asarray(fill, x.dtype), found)
         batch = iter(range(lead))
         rest = iter(range(lead, found.ndim))
@@ -189,7 +189,7 @@ def _places(shape, indices, index_map, operand_batch, index_batch, left_out, siz
             start = np.clip(start, 0, n - size)
         else:
             start = np.zeros((1,) * len(lead), np.int64)
-        start = start.reshape(*start.shape, *(1,) * len(window_axes))
+        start = start.reshape((*start.shape, *(1,) * len(window_axes)))
         if axis in window_axes:
             start = start + np.arange(size).reshape([-1 if i == axis else 1 for i in window_axes])
         at.append(start)

@@ -276,7 +276,7 @@ def _dot_general(params):
         left = x.transpose(*batch_x, *free_x, *across_x).reshape(*batch, size(x, free_x), size(x, across_x))
         right = y.transpose(*batch_y, *across_y, *free_y).reshape(*batch, size(y, across_y), size(y, free_y))
         out = np.matmul(left, right)
-        out = out.reshape(*batch, *(x.shape[i] for i in free_x), *(y.shape[i] for i in free_y))
+        out = out.reshape((*batch, *(x.shape[i] for i in free_x), *(y.shape[i] for i in free_y)))
         wanted = params["preferred_element_type"]
         return out if wanted is None else out.astype(wanted, copy=False)
 

@@ -112,7 +112,7 @@ def strip_margins(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
 
     Example:
         >>> c, G = jnp.array([[1.0], [0.5]]), jnp.array([[[0.5], [0.0]], [[0.0], [1.0]]])
-        >>> strip_margins(c, G, 0 * c)
+        >>> jax.jit(strip_margins)(c, G, 0 * c)
         Array([-1...], dtype=float...)
     """
     return jnp.min(jax.vmap(refutes, (None, None, None, 1))(c, G, error, _normals(G)), 0)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.intervals.interval import Interval, Operand, interval, mid, rad
 from jaxbound.sets.strips.gauge import gauge_search
 from jaxbound.sets.zonotopes.constrained import AnySet, parts
@@ -68,7 +69,7 @@ def interval_hull(S: AnySet) -> Interval:
     return _interval_hull(S)
 
 
-@jax.jit
+@kernel
 def _interval_hull(S: AnySet) -> Interval:
     if isinstance(S, Zonotope):
         return S.hull()
@@ -80,7 +81,7 @@ def _interval_hull(S: AnySet) -> Interval:
     return Interval(jnp.where(empty, jnp.inf, lo), jnp.where(empty, -jnp.inf, hi))
 
 
-@jax.jit
+@kernel
 def _support(S: AnySet, direction: Interval) -> jax.Array:
     S, direction = rounding.one_dtype(S, direction)
     return _supports(S, direction[None])[0]

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.intervals.interval import Interval, Operand, interval, mid, rad
 from jaxbound.sets.intervals.interval import intersection as interval_intersection
 from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope, parts
@@ -87,7 +88,7 @@ def _(S: AnySet, Y: AnySet | Interval, matrix: Operand | None = None) -> Constra
     return _intersect(S, Y, M)
 
 
-@jax.jit
+@kernel
 def _intersect(S: AnySet, Y: AnySet | Interval, M: Interval | None) -> ConstrainedZonotope:
     S, Y, M = rounding.one_dtype(S, Y, M)
     c, G, A, b = parts(S)

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval, Operand, interval, mid, rad
 from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope, parts
@@ -146,7 +147,7 @@ def linear_map(matrix: Operand, S: AnySet, offset: Operand | None = None) -> Any
     return _linear_map(M, S, move)
 
 
-@jax.jit
+@kernel
 def _linear_map(M: Interval, S: AnySet, move: Interval | None) -> AnySet:
     M, S, move = rounding.one_dtype(M, S, move)
     c, G, A, b = parts(S)
@@ -190,7 +191,7 @@ def minkowski_sum(S: AnySet, T: AnySet) -> AnySet:
     return _minkowski_sum(S, T)
 
 
-@jax.jit
+@kernel
 def _minkowski_sum(S: AnySet, T: AnySet) -> AnySet:
     (c, G, A, b), (d, H, B, e) = (parts(x) for x in rounding.one_dtype(S, T))
     center, error = added(c, d)
@@ -224,7 +225,7 @@ def translate(S: AnySet, vector: Operand) -> AnySet:
     return _translated(S, move)
 
 
-@jax.jit
+@kernel
 def _translated(S: AnySet, move: Interval) -> AnySet:
     S, move = rounding.one_dtype(S, move)
     return _moved(*parts(S), move, jnp.zeros_like(parts(S)[0]))
@@ -246,7 +247,7 @@ def scale(S: AnySet, factor: Operand) -> AnySet:
     return _scaled(S, factor)
 
 
-@jax.jit
+@kernel
 def _scaled(S: AnySet, factor: Interval) -> AnySet:
     n = parts(S)[0].shape
     return _linear_map(Interval(*(jnp.diag(jnp.broadcast_to(x, n)) for x in (factor.lo, factor.hi))), S, None)
@@ -262,7 +263,7 @@ def cartesian_product(S: AnySet, T: AnySet) -> AnySet:
     return _cartesian_product(S, T)
 
 
-@jax.jit
+@kernel
 def _cartesian_product(S: AnySet, T: AnySet) -> AnySet:
     (c, G, A, b), (d, H, B, e) = (parts(x) for x in rounding.one_dtype(S, T))
     return whole(jnp.concatenate([c, d]), blocks(G, H), blocks(A, B), jnp.concatenate([b, e]))
@@ -291,7 +292,7 @@ def from_interval(box: Interval) -> Zonotope:
     return _from_interval(box)
 
 
-@jax.jit
+@kernel
 def _from_interval(box: Interval) -> Zonotope:
     return Zonotope(mid(box), jnp.diag(rad(box)))
 
@@ -321,7 +322,7 @@ def convex_hull(Z: Zonotope, Y: Zonotope) -> Zonotope:
     return _convex_hull(Z, Y)
 
 
-@jax.jit
+@kernel
 def _convex_hull(Z: Zonotope, Y: Zonotope) -> Zonotope:
     (c, G, *_), (d, H, *_) = (parts(x) for x in rounding.one_dtype(Z, Y))
     G, H = (jnp.pad(x, ((0, 0), (0, max(G.shape[1], H.shape[1]) - x.shape[1]))) for x in (G, H))

@@ -13,6 +13,13 @@ pytestmark = pytest.mark.compiled
 X = np.linspace(-2.5, 3.5, 24).reshape(4, 6)
 I = np.array([3, 0, 2, 7, -1], np.int32)
 Y, SQUARE = jnp.asarray(X), np.arange(4).reshape(1, 2, 2)
+
+
+def doubled(n):
+    """Double until a number is beyond n: batched, loops that end each at its own time."""
+    return lax.while_loop(lambda x: x[0] < n, lambda x: (x[0] * 2, x[1] + jnp.ones(2)), (1, jnp.zeros(2)))
+
+
 FUNCTIONS = {
     "arithmetic": lambda: (
         X + 2 * X - X / 3,
@@ -98,6 +105,7 @@ FUNCTIONS = {
         jnp.take(X, I, 1, mode="clip"),
         jnp.take(X, I, 0),
         X[jnp.arange(4), I[:4] % 6],
+        jnp.take(X[0], I[0], mode="fill"),
     ),
     "scatter": lambda: (
         Y.at[1].set(0),
@@ -105,6 +113,7 @@ FUNCTIONS = {
         Y.at[:, 2].max(9),
         Y.at[1:3, 4].mul(2),
         Y.at[I, 0].set(1),
+        Y[0].at[I[0]].set(7),
     ),
     "sorts": lambda: (
         jnp.sort(-X, 0),
@@ -113,6 +122,7 @@ FUNCTIONS = {
         *lax.sort((X % 0.7, X), num_keys=1),
     ),
     "products": lambda: (
+        SQUARE[0, 0] @ SQUARE[0, 1],
         jnp.arange(6) @ jnp.arange(12).reshape(6, 2),
         jnp.einsum("bij,bjk->bik", SQUARE, SQUARE),
     ),
@@ -125,6 +135,7 @@ FUNCTIONS = {
     "loops": lambda: (
         lax.fori_loop(0, 5, lambda i, x: x * i + 1, 2),
         lax.while_loop(lambda x: x[0] < 50, lambda x: (x[0] * 2, x[1] + 1), (1, 0)),
+        jax.vmap(doubled)(I),
         lax.scan(lambda c, x: (c + x, c * x), X[0], X),
         lax.scan(lambda c, x: (c - x, c), X[0], X, reverse=True),
     ),
@@ -224,3 +235,8 @@ def test_zeros_of_both_signs_are_two_numbers():
     with outside_xla():
         quotients = kernel(lambda x: (x / 0.0, x / -0.0, x / np.zeros(())))(1.0)
     assert [float(x) for x in quotients] == [np.inf, -np.inf, np.inf]
+
+
+def test_a_kernel_of_a_gradient_is_that_gradient():
+    square = kernel.kernel(lambda x: x * x)
+    assert float(kernel.kernel(jax.grad(square))(3.0)) == 6.0

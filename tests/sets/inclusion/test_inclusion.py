@@ -71,10 +71,10 @@ HEAVY = (
 BRIEF = [
     c for c in CASES if c in FEW or c.name in ("cubic", "rational", "root", "product", "rectifier", "clip")
 ]  # all of them: below
-LIGHT = [pytest.param(c, marks=pytest.mark.long) if c.name in HEAVY else c for c in CASES]
+BY_XLA = pytest.mark.compiled
+LIGHT = [pytest.param(c, marks=(pytest.mark.long, BY_XLA)) if c.name in HEAVY else c for c in CASES]
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("case", LIGHT, ids=str)
 def test_natural_holds_the_range(case, rng):
     check(case, inclusion(case.f)(box_of(case)), rng)
@@ -94,7 +94,9 @@ def test_best_holds_the_range_and_is_never_wider_than_natural(case, rng):
             c,
             d,
             id=f"{c}-{np.dtype(d)}",
-            marks=() if c.name == "parabola" and d == np.float32 else pytest.mark.long,
+            marks=()
+            if c.name == "parabola" and d == np.float32
+            else (pytest.mark.long, pytest.mark.compiled),
         )
         for c in CASES
         for d in DTYPES

@@ -12,6 +12,7 @@ import pytest
 from jax import lax
 
 from jaxbound.sets import Interval, inclusion
+from jaxbound.sets.floats.kernel import kernel
 
 MASK = np.array([True, False, True])
 
@@ -88,17 +89,19 @@ def boxes(rng, count):
 
 
 @pytest.mark.parametrize(
-    "programs", [FEW, pytest.param(FEW | REST, marks=pytest.mark.long)], ids=["few", "all"]
+    "programs",
+    [FEW, pytest.param(FEW | REST, marks=(pytest.mark.long, pytest.mark.compiled))],
+    ids=["few", "all"],
 )
 def test_every_value_of_a_program_lies_in_its_enclosure(programs, rng):
     lo, hi = boxes(rng, 24)
     every = lambda z: {name: f(z) for name, f in programs.items()}
-    found = jax.jit(jax.vmap(inclusion(every)))(Interval(jnp.asarray(lo), jnp.asarray(hi)))
+    found = kernel(jax.vmap(inclusion(every)))(Interval(jnp.asarray(lo), jnp.asarray(hi)))
     share = np.where(
         rng.random((300, 24, 3)) < 0.6, rng.uniform(0, 1, (300, 24, 3)), rng.choice([0, 0.5, 1], (300, 24, 3))
     )
     z = np.clip(lo + (hi - lo) * share, lo, hi)
-    values = jax.jit(jax.vmap(jax.vmap(every)))(z)
+    values = kernel(jax.vmap(jax.vmap(every)))(z)
     for name, value in values.items():
         value, (a, b) = np.asarray(value), map(np.asarray, (found[name].lo, found[name].hi))
         slack = 1e-9 * (1 + abs(value))

@@ -14,8 +14,6 @@ from jaxbound import sets
 from jaxbound.sets import Status, interval
 from jaxbound.sets.intervals.interval import Interval
 
-pytestmark = pytest.mark.compiled
-
 LO, HI = (-1, 1), (2, 3)  # the box of Adrot 2000, figure 1
 
 
@@ -226,6 +224,7 @@ def above(v):
     return f if Fraction(f) >= v else np.nextafter(f, np.inf)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize(
     "options", [dict(q=5), dict(q=4, cut="widest"), dict(subdivision="uniform", q=3)], ids=str
@@ -236,6 +235,7 @@ def test_the_image_of_a_point_of_the_box_is_never_a_fault(rng, options, dtype):
     assert (found.status == Status.UNDECIDED).all()
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("options", [dict(q=8), dict(subdivision="uniform", q=7)], ids=str)
 def test_exactly_representable_images_on_the_boundary_are_never_a_fault(rng, options):
     z = np.stack(
@@ -343,7 +343,9 @@ def test_every_target_has_its_own_args(options):
 
 
 def test_one_target_takes_args_of_one_entry():
-    found = sets.pave(shifted, box(lo=(0, 0), hi=(1, 1)), [0.4, 0.6], args=(np.array([5.0]), np.ones((1, 2))))
+    found = sets.pave(
+        shifted, box(lo=(0, 0), hi=(1, 1)), [0.4, 0.6], args=(np.array([5.0]), np.ones((1, 2))), q=2
+    )
     assert found.status == Status.FAULT and found.evaluated == 1
 
 

@@ -3,25 +3,28 @@
 from fractions import Fraction
 from itertools import product
 
-import jax
 import numpy as np
 import pytest
 
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.strips import polynomials
 
 EXPONENTS = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (1, 1, 0), (0, 1, 2), (1, 1, 1))
 PLAIN = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 1, 1))
 KERNELS = {
-    name: jax.jit(f, static_argnums=3)
+    name: kernel(f, static_argnums=3)
     for name, f in (("image", polynomials.image), ("slopes", polynomials.slopes))
 }
+vertex_margin, row_error = (
+    kernel(f, static_argnames="exponents") for f in (polynomials.vertex_margin, polynomials.row_error)
+)
 
 
 def draw(rng, exponents, r=2, m=2, count=6, dtype="float64"):
     value, spread = rng.normal(size=(r, len(exponents), count)), rng.normal(size=(r, len(exponents), m))
     rad = abs(rng.normal(size=(m, count))) * 0.1
     value, spread, rad = (x.astype(dtype) for x in (value, spread, rad))
-    error = polynomials.row_error(value, 0 * value, spread, rad, exponents)
+    error = row_error(value, 0 * value, spread, rad, exponents)
     return value, spread, rad, np.asarray(error)
 
 
@@ -100,9 +103,7 @@ def test_slopes_are_the_derivatives_and_bend_bounds_their_change(rng):
 def test_a_multiaffine_range_is_that_of_its_vertices(rng):
     value, spread, rad, error = draw(rng, PLAIN, count=12)
     value[:, 0] *= 4
-    margin, inside = (
-        np.asarray(x) for x in polynomials.vertex_margin(value[:1], spread[:1], rad, PLAIN, error[:1])
-    )
+    margin, inside = (np.asarray(x) for x in vertex_margin(value[:1], spread[:1], rad, PLAIN, error[:1]))
     orders, corners = np.array([sum(a) for a in PLAIN]), list(product((Fraction(-1), Fraction(1)), repeat=5))
 
     def ends(k, t):

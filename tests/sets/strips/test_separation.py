@@ -10,12 +10,13 @@ import pytest
 from oracles import Program
 
 from jaxbound.exact import frames
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.strips import separation
 from jaxbound.sets.strips.separation import frame_of, separation_margin
 
 ROWS, UNKNOWNS, KNOWN, N = 8, 3, 1, 64  # one shape, because each compiles
 image, search, verdict, margin = map(
-    jax.jit,
+    kernel,
     (
         separation.separation_image,
         separation.separation_search,
@@ -133,6 +134,7 @@ def run(case, dtype, steps=60, change=None):
     return np.asarray(out), np.asarray(settled), h, d
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("dtype", [DTYPES[0], pytest.param(DTYPES[1], marks=pytest.mark.long)])
 def test_windows_exactly_on_the_boundary_are_never_fault(dtype, rng):
     for _ in range(10):
@@ -146,7 +148,8 @@ def test_windows_exactly_on_the_boundary_are_never_fault(dtype, rng):
 
 
 @pytest.mark.parametrize(
-    "dtype, push", [(np.float64, 1e-9), pytest.param(np.float32, 1e-2, marks=pytest.mark.long)]
+    "dtype, push",
+    [(np.float64, 1e-9), pytest.param(np.float32, 1e-2, marks=(pytest.mark.long, pytest.mark.compiled))],
 )
 def test_every_verdict_near_the_boundary_is_proved_and_sharp(dtype, push, rng):
     faults = explained = 0
@@ -228,8 +231,8 @@ def test_margins_and_verdicts_say_the_same(rng):
 def test_gradients_are_those_of_finite_differences(rng):
     case = Case(rng, rng.uniform(-0.9, 3, N), jitter=0.3)
     frame, mid, rad, *_, known, _ = case.floats(np.float64)
-    total = jax.jit(lambda *x: separation_margin(frame, *x).sum())
-    got = jax.jit(jax.grad(total, (0, 1, 2)))(mid, rad, known)
+    summed = lambda mid, rad, known: separation_margin(frame, mid, rad, known).sum()
+    total, got = kernel(summed), kernel(jax.grad(summed, (0, 1, 2)))(mid, rad, known)
     for part, x in enumerate((mid, rad, known)):
         for i in range(len(x)):
             step = 1e-7 * np.eye(len(x))[i][:, None] * abs(rad).max()

@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.strips.strips import Strips, strip_margin
 
+margin = kernel(strip_margin)
 CIRCUITS, ROWS, WINDOWS = 9, 3, 5
 
 
@@ -26,7 +28,7 @@ def test_many_known_values_count_as_in_the_formula(rng):
         own = Strips(given.rows, given.h, k, None)
         used = np.where((k != 0)[:, :, None], k[:, :, None] * np.asarray(known)[None], 0).sum(1)
         gauge = (abs(given.h @ np.asarray(mid) - used) / (abs(given.h) @ np.asarray(rad))).max(0)
-        found = strip_margin(own, mid, rad, known)
+        found = margin(own, mid, rad, known)
         assert np.flatnonzero(np.isnan(found)).tolist() == missing
         np.testing.assert_allclose(found, 1 - gauge, rtol=1e-12, atol=1e-12)
 

@@ -2,15 +2,15 @@
 against linear programs.
 """
 
-import jax
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.strips.tableau import tableau_search
 
 C, K, N = 4, 9, 24
-search = jax.jit(tableau_search, static_argnums=5)
+search = kernel(tableau_search, static_argnums=5)
 
 
 def factor(R, z, radius, present):

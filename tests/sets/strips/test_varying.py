@@ -11,10 +11,11 @@ import linear_programs
 import numpy as np
 import pytest
 
+from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.strips import varying
 
 searched, refutes, holds, right_inverse, strip_margins = map(
-    jax.jit,
+    kernel,
     (varying.farthest, varying.refutes, varying.holds, varying.right_inverse, varying.strip_margins),
 )
 
@@ -25,6 +26,9 @@ COLUMNS = {
     4: 12,
     5: 12,
 }  # fewer generators are filled up with zeros, so that one shape is compiled
+
+
+MANY = 2048
 
 
 def draw(rng, r, q, count):
@@ -116,13 +120,16 @@ def check_against_programs(rng, r, q, count):
     return int((margin < 0).sum()), int((margin > 0).sum())
 
 
-@pytest.mark.parametrize("r", [2, *(pytest.param(r, marks=pytest.mark.long) for r in (1, 3))])
+@pytest.mark.parametrize(
+    "r", [2, *(pytest.param(r, marks=(pytest.mark.long, pytest.mark.compiled)) for r in (1, 3))]
+)
 def test_margins_have_the_sign_and_size_of_linear_programs(rng, r):
     outside, inside = check_against_programs(rng, r, COLUMNS[r], 300)
     assert outside > 10 and inside > 30
 
 
 @pytest.mark.long(by_day="test_margins_have_the_sign_and_size_of_linear_programs")
+@pytest.mark.compiled
 @pytest.mark.parametrize(("r", "q"), [(1, 20), (2, 20), (3, 12), (4, 20), (5, 20)])
 def test_margins_have_the_sign_of_linear_programs_on_20000_zonotopes(rng, r, q):
     for fewest in (5, 10):
@@ -134,6 +141,7 @@ def test_margins_have_the_sign_of_linear_programs_on_20000_zonotopes(rng, r, q):
         assert not ((abs(wanted) > 1e-9) & (margin == 0) & (wanted < 0)).any()
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     "r", [2, pytest.param(3, marks=pytest.mark.long), pytest.param(4, marks=pytest.mark.long)]
 )
@@ -141,7 +149,7 @@ def test_a_set_whose_boundary_goes_through_0_is_never_refuted_nor_held(rng, r):
     """Integers: c = -G z with z at the vertex that h selects is exactly on the boundary; a hair further is
     outside.
     """
-    q, count = COLUMNS[r], 2000
+    q, count = COLUMNS[r], MANY
     G = rng.integers(-9, 10, (count, r, q)).astype(float)
     h = rng.integers(-9, 10, (count, r)).astype(float)
     side = np.sign(np.einsum("ni,nij->nj", h, G)) + (np.einsum("ni,nij->nj", h, G) == 0) * rng.choice(
@@ -158,7 +166,7 @@ def test_a_set_whose_boundary_goes_through_0_is_never_refuted_nor_held(rng, r):
     assert not (outside[real] > 0).any() and (outside[real] < 0).mean() > 0.9
 
 
-@pytest.mark.parametrize("r", [2, pytest.param(3, marks=pytest.mark.long)])
+@pytest.mark.parametrize("r", [2, pytest.param(3, marks=(pytest.mark.long, pytest.mark.compiled))])
 def test_errors_of_the_entries_count(rng, r):
     """A set that holds 0 for some entries within their errors is never refuted: here c is moved out by all
     that the errors allow.
@@ -235,10 +243,11 @@ def test_a_window_with_nan_stays_nan_and_disturbs_no_other():
     assert margins(c, G)[[0, 2]].tolist() == pytest.approx([0.6, 0.8])  # along the first row G reaches 10 / 4
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
 def test_many_windows_with_numbers_that_say_nothing_prove_nothing(rng, bad):
     """Enough of them for a reduction that overlooks NaN."""
-    r, N = 2, 2048
+    r, N = 2, MANY
     c, G = rng.normal(size=(r, N)), rng.normal(size=(r, COLUMNS[r], N))
     usual = margins(c, G)
     at = np.arange(0, N, 3)
@@ -249,6 +258,7 @@ def test_many_windows_with_numbers_that_say_nothing_prove_nothing(rng, bad):
 
 
 @pytest.mark.long(by_day="test_margins_have_the_sign_and_size_of_linear_programs")
+@pytest.mark.compiled
 def test_float32_and_uncompiled_code_prove_the_same(rng):
     c, G = (x.astype(np.float32) for x in columns_first(*draw(rng, 2, COLUMNS[2], 64)))
     single, double = (
@@ -271,4 +281,4 @@ def test_a_direction_whose_sum_overflows_refutes_nothing():
     c, h = np.full((3, 1), 1e6), np.array([[1.0], [1.0], [-1.0]]) * 1.2e302
     G = np.repeat(c[:, None] * 1.01 / 10, 10, 1)
     with np.errstate(over="ignore"):
-        assert not (np.asarray(varying.refutes(c, G, np.zeros((3, 1)), h)) < 0).any()
+        assert not (np.asarray(refutes(c, G, np.zeros((3, 1)), h)) < 0).any()

@@ -90,15 +90,15 @@ def test_corners_of_a_segment_a_point_and_nothing_with_constraints():
 
 
 def test_samples_keep_the_constraints_spread_and_are_not_there_where_nothing_is(rng):
-    A, G = rng.normal(size=(2, 6)), np.eye(6)
-    C = sets.constrained_zonotope(np.zeros(6), G, A, A @ rng.uniform(-0.5, 0.5, 6))
+    A, G = rng.normal(size=(1, 3)), np.eye(3)
+    C = sets.constrained_zonotope(np.zeros(3), G, A, A @ rng.uniform(-0.5, 0.5, 3))
     x = np.asarray(sets.sample(C, jax.random.key(0), 400))
     assert np.abs(x).max() <= 1 and np.abs(x @ A.T - np.asarray(C.offsets)).max() <= 1e-12
     box = np.array(
         [[linprog(s * g, A_eq=A, b_eq=C.offsets, bounds=(-1, 1)).fun * s for s in (1, -1)] for g in G]
     )
     assert (np.ptp(x, axis=0) >= 0.5 * (box[:, 1] - box[:, 0])).all()
-    nothing = sets.constrained_zonotope(np.zeros(6), G, A, 100 * np.ones(2))
+    nothing = sets.constrained_zonotope(np.zeros(3), G, A, 100 * np.ones(1))
     assert np.isnan(sets.sample(nothing, jax.random.key(0), 400)).all()
 
 
