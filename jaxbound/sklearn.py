@@ -26,8 +26,6 @@ except ImportError as why:
         "jaxbound.sklearn needs scikit-learn 1.6 or newer: pip install 'jaxbound[sklearn]'"
     ) from why
 
-__all__ = ["Detector"]
-
 
 class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn states no types
     """Proved fault detection with the methods of scikit-learn's outlier detectors.

@@ -37,8 +37,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress, reporter
 
-__all__ = ["Certificate"]
-
 
 class Sizes(dict[str, "Fraction | float"]):
     """{signal: a size}, exact, shown as short floats: a fraction has hundreds of digits."""

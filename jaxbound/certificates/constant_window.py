@@ -19,8 +19,6 @@ from typing import ClassVar
 from jaxbound.certificates.exact_window import Bound, Ends, ExactWindow, Explanation
 from jaxbound.exact.linalg import Vector, scale
 
-__all__ = ["ConstantWindow"]
-
 ZERO, ONE = Fraction(0), Fraction(1)
 
 

@@ -24,8 +24,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.text.names import listed
 from jaxbound.text.objects import readable
 
-__all__ = ["Diagnosis", "amount", "candidates_of", "diagnose_window", "size_text", "why_excluded"]
-
 Sizes = Mapping[str, Fraction | None]
 
 

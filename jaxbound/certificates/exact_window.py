@@ -35,11 +35,6 @@ from jaxbound.models.window import window_rows
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
 
-__all__ = """
-    Bound Ends ExactWindow Explanation Stretch exact_window known_inputs readable_relation rounded_up
-    rounded_witness shorter stretched unstretched window_of
-""".split()
-
 ZERO, ONE = Fraction(0), Fraction(1)
 DIGITS = (4, 8, 12, 17)
 """Of numbers that are rounded for readers, as few as will do."""

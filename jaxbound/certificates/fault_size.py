@@ -31,8 +31,6 @@ from jaxbound.certificates.supposed import Push, Side, error_of, limits_of, push
 from jaxbound.exact.linalg import Vector, dot
 from jaxbound.models.named_faults import NamedFault
 
-__all__ = ["FaultSize", "Scale", "SensorError"]
-
 ZERO, ONE = Fraction(0), Fraction(1)
 DIGITS = 12
 """Of a root that is no fraction."""

@@ -18,17 +18,6 @@ from jaxbound.models.named_faults import NamedFault
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.progress import Progress
 
-__all__ = [
-    "Index",
-    "Judgement",
-    "WindowCertificate",
-    "certificate_of",
-    "certify",
-    "evidence",
-    "explain",
-    "nothing_to_explain",
-]
-
 Index: TypeAlias = tuple[int, ...]
 """Where a window ends: (.., sample)."""
 Sample: TypeAlias = int | list[int] | None

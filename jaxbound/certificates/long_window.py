@@ -41,8 +41,6 @@ from jaxbound.relations.sentence import relation_text
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
-__all__ = ["LongCertificate", "LongWindow", "exceeds", "stretch"]
-
 T = TypeVar("T")
 ZERO = Fraction(0)
 DIGITS = 30

@@ -21,8 +21,6 @@ from jaxbound.exact.chebyshev import nearest
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.models.window import ParameterForm
 
-__all__ = ["changed_window", "found_size"]
-
 STEPS = 8
 """Sizes of each sign that are tried at first, as many steps to `most`."""
 ONSETS = 5

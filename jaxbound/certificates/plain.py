@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike
 from jaxbound.models.rows import WeightedSum
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["exact_floats", "plain_factors", "plain_model", "plain_names", "plain_samples", "plain_sums"]
-
 MATRICES = ("A", "B", "C", "D", "G", "F", "D_v")
 
 

@@ -26,8 +26,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 
-__all__ = ["ResidualCertificate"]
-
 PROGRAM = "a residual is a program of its user, no system of inequalities: no other checker can read it"
 
 

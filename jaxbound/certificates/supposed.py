@@ -26,8 +26,6 @@ from jaxbound.models.window import actions
 from jaxbound.recordings.expressions import expression
 from jaxbound.text.names import listed
 
-__all__ = ["Moves", "Push", "Side", "error_of", "limits_of", "moves_of", "pushes_of", "with_fault"]
-
 ZERO, ONE = Fraction(0), Fraction(1)
 Recorded: TypeAlias = list[Fraction | None]
 """Samples of a signal, None where one is missing."""

@@ -45,8 +45,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips import polynomials
 from jaxbound.text.objects import readable
 
-__all__ = ["UncertainCertificate"]
-
 BOXES = 2000
 """Boxes that the proof of one FAULT may look at."""
 Tree: TypeAlias = dict[str, Any]

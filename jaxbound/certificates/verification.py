@@ -23,8 +23,6 @@ from jaxbound.recordings.factors import known, masked
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Tested", "of_test", "verify", "window_of"]
-
 
 def verify(
     document: dict[str, Any], model: LinearSystem, u: Any, y: Any = None, x0: Any = None, begin: int = 0

@@ -13,8 +13,6 @@ from jaxbound.certificates.plain import plain_names
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Numbers", "Witnessed", "every_sample", "rows_of", "texts"]
-
 Numbers: TypeAlias = dict[str, Any]
 """A tree of Fractions by name."""
 T = TypeVar("T")

@@ -14,8 +14,6 @@ from jaxbound.studies.assessment.assessment import Assessment, Case, Marks
 from jaxbound.studies.assessment.scores import Score
 from jaxbound.text.quantities import duration, percent
 
-__all__ = ["AssessmentConclusion", "write_assessment"]
-
 HEAD = ("detector", "factor", "alarm", "false alarms", "a day", "missed", "faults seen", "median delay")
 Named = Mapping[str, Assessment]
 """{model file: Assessment}, the model of the command first."""

@@ -11,8 +11,6 @@ from jaxbound.models.modelfile import load_model
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent
 
-__all__ = ["cause_of", "cause_text", "show_cause"]
-
 
 def cause_of(certificate: WindowCertificate, k: int, file: Path | None) -> Diagnosis:
     """Return the Diagnosis of a window.

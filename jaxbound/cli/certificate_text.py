@@ -13,8 +13,6 @@ from jaxbound.relations.sentence import at_sample, row_name
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
 
-__all__ = ["certificate_text", "six_digits"]
-
 Row: TypeAlias = tuple[str, str]
 AnyCertificate: TypeAlias = Certificate | UncertainCertificate
 EXPLAINS = "a certificate that explains its window has all unknowns"

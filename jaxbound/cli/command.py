@@ -15,17 +15,6 @@ from typing import NoReturn, Protocol
 from jaxbound.cli.options import Options, add_loudness
 from jaxbound.cli.terminal import Refused, write
 
-__all__ = [
-    "EXIT_CODES",
-    "Command",
-    "Formatter",
-    "Parser",
-    "add_command",
-    "end_of_help",
-    "nearest",
-    "swift_imports",
-]
-
 EXIT_CODES = (
     "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence or outside bounds "
     "that were fitted to shorter windows, 70 internal error, 130 interrupted, and as shells count 129 by "

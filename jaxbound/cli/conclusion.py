@@ -18,8 +18,6 @@ from jaxbound.runs.summary import OUTSIDE, Evidence, OfTest, Summary, Window
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import most_percent, percent, three_digits, times
 
-__all__ = ["conclude"]
-
 TIME = re.compile(r"\S+ s|\d{4}-\d\d-\d\d[ T][\d:.]+")  # of a sample, as `explain --at` takes it
 COLOUR = {
     "no fault": "bold green",

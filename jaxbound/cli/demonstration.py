@@ -29,18 +29,6 @@ from jaxbound.relations.parity import parity_relations
 from jaxbound.runs.outputs import output_folder
 from jaxbound.sets.floats.status import Status
 
-__all__ = [
-    "FAULTS",
-    "REFERENCE",
-    "demo_model",
-    "demo_run",
-    "demonstrate",
-    "detection_rates",
-    "rate_table",
-    "sections",
-    "write_run",
-]
-
 SAMPLES, HOLD = 201, 20
 FAULTS = (
     Fault("y2", "tolerance", 0.16, 20, 60),

@@ -10,8 +10,6 @@ from jaxbound.workers.engine import connected
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["engine"]
-
 
 @contextmanager
 def engine(scheduler: str | None, workers: int | None) -> Iterator["Client | None"]:

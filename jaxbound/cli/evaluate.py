@@ -117,7 +117,7 @@ def _factors(text: str | None) -> list[float] | None:
     if text is None:
         return None
     try:
-        return [decimal(part) for part in text.split(",")]
+        return list(map(decimal, text.split(",")))
     except ValueError:
         raise Refused(f"--factors needs numbers with commas, like 0.5,1,2, not {text!r}") from None
 
@@ -178,7 +178,7 @@ def _assessed(
         factors=factors or FACTORS,
         method=args.method,
         training=recordings[len(files) :] or None,
-        names=[str(file) for file in args.faulty],
+        names=list(map(str, args.faulty)),
         progress=lambda share: step("test", share),
     )
     hints = [f"{path}: {hint}" for hint in outgrown(stated, relations)]

@@ -31,8 +31,6 @@ from jaxbound.runs.streaming import all_parts, kept, publish, write_parts
 from jaxbound.runs.summary import Summary
 from jaxbound.text.quantities import percent
 
-__all__ = ["FILES_OF_A_WHOLE", "FILES_OF_PARTS", "FORMER", "PAGE", "Evaluation", "evaluate", "evaluate_parts"]
-
 PAGE = "report.html"
 FILES_OF_A_WHOLE = (*file_names(), PAGE)
 FILES_OF_PARTS = (VERDICTS, "alarms.csv", *file_names(whole=False), PAGE)

@@ -21,8 +21,6 @@ from jaxbound.models.simulate import simulate
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.template import template
 
-__all__ = ["EXAMPLES", "Example", "heater_model"]
-
 JUMP, ONSET = 0.8, 60  # degC added to T1, from which sample of jump.csv on
 
 

@@ -21,8 +21,6 @@ from jaxbound.runs.contradiction import NOBODY, refuted_again
 from jaxbound.runs.runfile import VALIDATION, is_outgrown, load_run
 from jaxbound.runs.verdictfiles import spoken_of
 
-__all__ = ["Explained", "explain_window"]
-
 
 @dataclass(frozen=True)
 class Explained:

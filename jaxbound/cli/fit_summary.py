@@ -18,8 +18,6 @@ from jaxbound.studies.identification.signal_choice import GIVEN
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, best_test
 from jaxbound.text.units import without_unit
 
-__all__ = ["FitConclusion", "named_units", "promise", "signal_columns"]
-
 CHECKED = (
     "order delay method smallest safety factor left_out held_out signals smallest_mean tradeoff jump steady "
     "hidden"

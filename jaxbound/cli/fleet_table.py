@@ -20,8 +20,6 @@ from jaxbound.runs.summary import LAYOUT, OUTSIDE, Summary
 from jaxbound.text.characters import cell
 from jaxbound.text.quantities import percent
 
-__all__ = ["PAGES", "SHOWING", "UNITS", "UnitPages", "conclude_fleet", "write_fleet"]
-
 UNITS = "units"  # the folder of their pages
 SHOWING = ("fault", OUTSIDE)
 COLOUR = {

@@ -44,8 +44,6 @@ from jaxbound.cli.terminal import (
 )
 from jaxbound.text.characters import clipped
 
-__all__ = ["COMMANDS", "commands", "main"]
-
 COMMANDS: tuple[Command, ...] = (
     demo,
     example,

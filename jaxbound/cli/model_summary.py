@@ -22,8 +22,6 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.reports.parts import distinct_relations
 from jaxbound.text.quantities import rough_duration
 
-__all__ = ["ModelConclusion", "isolation_text"]
-
 SENSOR_BOUNDS = ("tolerance", "noise", "resolution")
 SIGNALS = 12
 """Up to here relations of minimal support are looked for and every pair of faults is listed."""

@@ -2,8 +2,6 @@
 
 import re
 
-__all__ = ["parted", "unquoted"]
-
 COMMA = re.compile(r""",(?=(?:[^`"]|`[^`]*`|"[^"]*")*$)(?!(?:[^()`"]|`[^`]*`|"[^"]*")*\))""")
 """A comma outside of backticks, double quotes and brackets."""
 TICKED = re.compile(r",(?=(?:[^`]|`[^`]*`)*$)(?!(?:[^()`]|`[^`]*`)*\))")

@@ -19,40 +19,6 @@ if TYPE_CHECKING:
     from jaxbound.diagnosis.alarmrule import AlarmRule
     from jaxbound.runs.ask import Ask
 
-__all__ = [
-    "ALARM",
-    "ENGINE",
-    "FORCE",
-    "JSON",
-    "MARGINS",
-    "MARGINS_KIND",
-    "METHODS",
-    "OBSERVER",
-    "OUTSIDE",
-    "OUTSIDE_WORD",
-    "SET_OBSERVER",
-    "WINDOW",
-    "WINDOWS",
-    "MethodOptions",
-    "Options",
-    "add_loudness",
-    "alarm_rule",
-    "apart",
-    "every",
-    "interval",
-    "lags",
-    "method",
-    "method_name",
-    "named",
-    "observer_name",
-    "path",
-    "refuse_unknown_method",
-    "share",
-    "sizes",
-    "some_of",
-    "whole_number",
-]
-
 OBSERVER = "observer"
 # A text of its own, because the home of these methods imports jax, for which a help does not wait. A test
 # compares it with `consistency.interface.METHODS`.

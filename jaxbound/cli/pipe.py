@@ -58,8 +58,6 @@ from jaxbound.runs.sinks import close_all, file_names, open_sinks
 from jaxbound.runs.summary import Evidence, Summary, Window, rests_on_outgrown, said, unsaid
 from jaxbound.text.quantities import finite
 
-__all__ = ["LiveRun", "judge_stream"]
-
 STDIN = "-"
 RULE = "rule of alarms"
 RULED = "alarms", "rule"  # the name of alarms in a checkpoint: of every FAULT, or by a rule that is asked for

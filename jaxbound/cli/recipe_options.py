@@ -7,8 +7,6 @@ from typing import Any
 
 from jaxbound.text.quantities import decimal
 
-__all__ = ["HIDDEN", "RECIPE", "recipe_fields", "recipe_hints"]
-
 FIELDS = (
     "order delay direct horizon lags average test observer disturbances see follow signals method safety "
     "held_out"

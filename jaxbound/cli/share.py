@@ -17,8 +17,6 @@ from jaxbound.runs.refusals import Interrupted
 from jaxbound.runs.shares import numbers_of
 from jaxbound.runs.streaming import CHUNK, Asked, part_count, samples_of, write_parts
 
-__all__ = ["judge_share", "opened", "same_test"]
-
 
 def judge_share(run: DetectRun, part: tuple[int, int]) -> int:
     """Test one share of a Parquet recording and say what was written; return the exit code.
@@ -60,7 +58,7 @@ def judge_share(run: DetectRun, part: tuple[int, int]) -> int:
             "first_sample": first,
             "last_sample": last,
             "parts": count,
-            "files": [str(file) for file in files],
+            "files": list(map(str, files)),
             "out": str(run.out),
             "seconds": {k: round(v, 3) for k, v in seconds.items()},
         }

@@ -13,8 +13,6 @@ from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 from typing import Any
 
-__all__ = ["ENDS", "Ends", "arrivals", "ends"]
-
 ENDS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 """The signals, beside Ctrl-C, that ask for the end."""
 CAN_WAIT = hasattr(select, "poll")

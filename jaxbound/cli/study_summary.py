@@ -14,8 +14,6 @@ from jaxbound.reports.study import COLUMNS, sentence, study_head, study_page, st
 from jaxbound.studies.montecarlo.study_result import StudyResult, delay_table, study_table
 from jaxbound.text.characters import cell
 
-__all__ = ["FILES", "StudyConclusion", "write_study"]
-
 FILES = ("summary.csv", "summary.parquet", "delays.parquet", "report.html")
 
 

@@ -10,8 +10,6 @@ from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification.fit_result import Fitted
 from jaxbound.text.quantities import decimal
 
-__all__ = ["disturbance_rows", "wanted"]
-
 
 def wanted(text: str) -> tuple[Fault, ...]:
     """Return the faults of --see.

@@ -18,8 +18,6 @@ from jaxbound.studies.tuning.tuning import MonitorTuneResult, TuneResult
 if TYPE_CHECKING:
     from optax import GradientTransformation
 
-__all__ = ["FactorConclusion", "OPTIMIZERS", "TuneConclusion", "is_unfinished", "optimizer", "tuned_text"]
-
 OPTIMIZERS = ("adam", "adabelief", "adagrad", "lion", "nadam", "rmsprop", "sgd", "yogi")
 MARK = b"# The search was interrupted: the same command goes on and replaces this file. %s\n"
 TUNED = "scale factor left_out safety bounds smallest start steps stopped caught notes".split()

@@ -24,8 +24,6 @@ from jaxbound.runs.sink import Outcome
 from jaxbound.runs.sinks import close_all, open_sinks
 from jaxbound.runs.summary import summarised
 
-__all__ = ["evaluate_validation"]
-
 
 def evaluate_validation(work: Path, step: Step, run: DetectRun) -> Evaluation:
     """Read a recording, validate it and write everything into a folder, see `evaluate`."""

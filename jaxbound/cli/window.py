@@ -18,9 +18,6 @@ from jaxbound.recordings.means import EVERY
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
 
-__all__ = ["DetectRun", "Step", "asked", "parity_windows", "stated_model", "window_relations", "windowed"]
-
-
 R = TypeVar("R", bound=Any)
 Step = Callable[[str, float], object]
 """Told of progress: a stage, and the share of it that is done."""

@@ -21,8 +21,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.bank import PACKED, bank_verdicts, unpacked, verdict_dtypes
 from jaxbound.sets.strips.strips import strips_of
 
-__all__ = ["HIGH", "BankTest", "bank_windows"]
-
 MOST = 128
 HIGH = np.uint32(0xAAAAAAAA)  # the high bit of every verdict; it is FAULT if the low one is set too
 

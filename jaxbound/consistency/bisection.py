@@ -28,8 +28,6 @@ from jaxbound.sets.inclusion.inclusion import inclusion
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.paving.paving import Paving, pave
 
-__all__ = ["BUDGET", "BisectionTest", "Thick", "flat", "search", "span", "thick", "whole_budget"]
-
 BUDGET = 1000
 """Boxes that may be evaluated for a window."""
 Function: TypeAlias = Callable[..., Any]

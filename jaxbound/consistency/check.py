@@ -28,8 +28,6 @@ from jaxbound.exact.linalg import over_one
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 
-__all__ = ["LEAST", "UNIT", "HostImage", "contradicted", "contradicted_by", "explained"]
-
 ALONE = 2**19
 """Products of numbers that one thread sums up: for more the library starts threads, which wait for each other
 where others are at work, five times as long as they compute."""

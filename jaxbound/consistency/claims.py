@@ -8,8 +8,6 @@ from jaxbound.consistency.bank import HIGH
 from jaxbound.models.region import Departure, Region
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["CLAIMED", "UNCLAIMED", "placed", "refuse_outside", "unclaimed"]
-
 Claims = TypeVar("Claims", bound=Any)
 """The type of verdicts: a Judged, or what one test of many says of a bank."""
 OUTSIDE = CLAIMED, UNCLAIMED = "fault", "undecided"

@@ -16,8 +16,6 @@ from jaxbound.consistency.interface import Array, Arrays
 from jaxbound.sets.floats.kernel import WIDE
 from jaxbound.sets.floats.probe import default_device
 
-__all__ = ["everywhere", "on_devices"]
-
 AXIS = "windows"
 T = TypeVar("T")
 

@@ -48,8 +48,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.text.progress import in_part, reporter
 
-__all__ = ["drive", "end_to_end", "raw_outputs", "windows"]
-
 CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
 AGAIN = 2**12  # windows that are evaluated in NumPy at once, where there are as many

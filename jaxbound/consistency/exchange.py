@@ -36,8 +36,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import is_outside_xla, kernel
 from jaxbound.sets.strips import separation
 
-__all__ = ["ExchangeTest", "candidates", "imaged", "verdicts"]
-
 LARGE = 2048
 """Numbers of a window that an exchange changes, above which fewer stand side by side."""
 TOUCHED = 2**14

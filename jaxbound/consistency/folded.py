@@ -23,8 +23,6 @@ from jaxbound.models.rows import Kind
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["folded_verdict", "folds", "known_columns", "tested"]
-
 ROOM = 4
 """Magnitudes are summed so many times as large: where they are finite, nothing else of their strip
 overflowed.

@@ -30,8 +30,6 @@ from jaxbound.models.rows import Kind
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.strips.chebyshev import fitted
 
-__all__ = ["GainsTest"]
-
 SIZE = 1e-6
 """The least size of a margin whose sign is proved."""
 Ends: TypeAlias = tuple[np.ndarray, np.ndarray]

@@ -33,8 +33,6 @@ from jaxbound.exact.integers import places, whole_floats
 from jaxbound.exact.linalg import dot, row_reduce
 from jaxbound.sets.strips.chebyshev import fitted
 
-__all__ = ["TOLD", "HolesTest", "exact_margins", "refuted", "signed"]
-
 HELD = 2**21
 """Numbers of the problems that are searched at once."""
 TOGETHER = 2**8

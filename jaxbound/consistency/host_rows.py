@@ -29,8 +29,6 @@ from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
 
-__all__ = ["SLIGHTLY", "Ends", "HostRows", "Input", "Series", "doubles"]
-
 SLIGHTLY = 1 + 1e-15
 """A factor that pays for the last roundings of a bound."""
 Ends: TypeAlias = np.ndarray | float

@@ -40,8 +40,6 @@ from jaxbound.sets.floats.kernel import UNCOUNTED, first_in_numpy, sparing
 from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.text.objects import readable
 
-__all__ = ["Monitor", "MonitorState", "PlacedState", "Verdict"]
-
 BURST = 8  # short blocks; more windows than in these are judged in long blocks
 State: TypeAlias = Any
 """A MonitorState, or what an Observer carries: a PyTree, for which JAX has no type."""

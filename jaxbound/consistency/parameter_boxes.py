@@ -32,8 +32,6 @@ from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.paving.frontier import in_blocks
 from jaxbound.sets.strips import polynomials, varying
 
-__all__ = ["Look", "ParameterBoxes", "PolynomialBoxes"]
-
 PAIRS = 2**11
 """Pairs of a box and a window at once where each is a formula."""
 Ends: TypeAlias = tuple[np.ndarray, np.ndarray]

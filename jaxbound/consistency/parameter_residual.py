@@ -23,8 +23,6 @@ from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.paving.existence import components
 from jaxbound.sets.paving.frontier import in_blocks
 
-__all__ = ["ResidualBoxes"]
-
 PAIRS = 2**12
 """Pairs of a box and a window at once."""
 

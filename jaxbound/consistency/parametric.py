@@ -46,8 +46,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["ParametricTest"]
-
 LACKING = 2**5
 """Windows at once that lack the same samples, where they are few."""
 

@@ -20,8 +20,6 @@ from jaxbound.consistency.polynomial_reading import PolynomialReading, Polynomia
 from jaxbound.consistency.unproved import is_traced, over_blocks
 from jaxbound.sets.strips import polynomials, varying
 
-__all__ = ["parametric_margins"]
-
 
 def parametric_margins(relations: PolynomialRelations, u: Array, y: Array) -> jax.Array:
     """Return the unproved margins (..., T), NaN where a window has no usable data. See `consistency.margins`.

@@ -31,26 +31,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.paving.frontier import Verdicts, explore, in_blocks
 from jaxbound.sets.strips import polynomials, varying
 
-__all__ = [
-    "BLOCK",
-    "LEAST",
-    "SEARCHED",
-    "VERTICES",
-    "Leaves",
-    "alone",
-    "bisected",
-    "by_vertices",
-    "candidates",
-    "cases",
-    "concluded",
-    "finite",
-    "middle_of",
-    "refined",
-    "refuted",
-    "samples_of",
-    "terms_of",
-]
-
 BLOCK = 2**11
 """Windows at once where each relation is a formula."""
 SEARCHED = 2**9

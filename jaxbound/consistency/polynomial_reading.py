@@ -22,8 +22,6 @@ from jaxbound.consistency.reading import Reading
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import total
 
-__all__ = ["Exponents", "PolynomialReading", "PolynomialRelations", "Polynomials"]
-
 Exponents: TypeAlias = tuple[tuple[int, ...], ...]
 """Monomials v^alpha, an exponent for each variable; the first is the constant."""
 

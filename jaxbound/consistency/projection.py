@@ -20,8 +20,6 @@ from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.unrolled import stored
 from jaxbound.sets.strips.projection import Projection, Rows, clipped_margin, projection_of
 
-__all__ = ["EasyStretches", "EasyWindows", "Given", "easy_by", "projection", "rows_of"]
-
 BLOCK = 4096
 ROWS = 64
 """Rows of a window up to which a stretch is settled as a whole: windows of more are gathered as fast."""

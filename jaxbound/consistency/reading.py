@@ -18,8 +18,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["AVERAGING", "Block", "Columns", "Reading", "RowValues", "Samples", "gather"]
-
 Samples = TypeVar("Samples", np.ndarray, jax.Array)
 Block: TypeAlias = tuple[np.ndarray, np.ndarray]
 """Samples (u, y) of as many windows as are judged at once."""

@@ -16,8 +16,6 @@ from jaxbound.sets.floats.kinds import named
 from jaxbound.sets.floats.probe import kind_of_device, searching_device, usable_devices
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["NOT_REFUTED", "judging_device", "only_searched"]
-
 NOT_REFUTED = "not refuted, by a device that was not examined"
 PATTERNS = 256
 """Patterns of missing samples that the host looks at; windows with others are UNDECIDED."""

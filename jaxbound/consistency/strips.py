@@ -22,8 +22,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.strips import status_of, strip_margin, strip_verdict
 from jaxbound.text.progress import reporter
 
-__all__ = ["StripsTest", "verdicts"]
-
 UNDECIDED = np.int8(Status.UNDECIDED)  # an enumeration would be three times as slow to compare
 
 

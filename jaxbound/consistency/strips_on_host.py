@@ -21,8 +21,6 @@ from jaxbound.consistency.reading import Reading, gather
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.sets.floats import rounding
 
-__all__ = ["BLOCK", "HostStrips", "excludes_0", "host_strips"]
-
 BLOCK = 2**13
 """Windows at once: their rows stay in the cache."""
 SPARSE = 2

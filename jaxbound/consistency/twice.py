@@ -24,8 +24,6 @@ from jaxbound.sets.floats.probe import is_searching
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.warned import warn
 
-__all__ = ["Doubtful", "decided_twice", "warn_doubtful", "warn_of"]
-
 
 class Doubtful(RuntimeWarning):
     """A proof by XLA is not confirmed outside XLA: the verdict is UNDECIDED."""

@@ -16,8 +16,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import UNROLLED, Strips
 
-__all__ = ["is_traced", "over_blocks", "stretch_block", "unproved_margins", "within"]
-
 Smooth: TypeAlias = Callable[[Reading, jax.Array, jax.Array], jax.Array]
 """Margins (N,) of the windows of a stretch (reading, u, y), to be differentiated."""
 

@@ -20,8 +20,6 @@ from jaxbound.exact.integers import ratios, total
 from jaxbound.exact.linalg import Matrix
 from jaxbound.sets.floats import rounding
 
-__all__ = ["BLOCK", "exact_strips", "finite", "thin"]
-
 THIN = {np.dtype(np.float64): 2.0**26, np.dtype(np.float32): 2.0**12}
 """A bound is thin where it is less than so many roundoffs of its sample: a margin is then uncertain by 1e-6,
 or in float32 by 0.01.

@@ -10,8 +10,6 @@ import numpy as np
 
 from jaxbound.recordings.timestamps import instant_of
 
-__all__ = ["Acknowledged", "Times"]
-
 Times: TypeAlias = str | os.PathLike[str] | Sequence[str | float | datetime | np.datetime64]
 """Times, or the path of a file with one a line."""
 
@@ -40,7 +38,7 @@ class Acknowledged:
         if isinstance(given, str | os.PathLike):
             self.path = Path(given)
         else:
-            self.known = np.unique([instant_of(time) for time in given])
+            self.known = np.unique(list(map(instant_of, given)))
 
     @property
     def is_given(self) -> bool:

@@ -14,8 +14,6 @@ from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.names import listed
 from jaxbound.text.objects import readable
 
-__all__ = ["EVERY_FAULT", "AlarmRule", "RuleLike", "rule_of"]
-
 LOWEST = {"k": 1, "n": 1, "hold": 0, "clear": 1}
 Sizes: TypeAlias = "float | Mapping[str, float] | None"
 """One size for all outputs, or {output: size}, in their units; None: any."""

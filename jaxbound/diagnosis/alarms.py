@@ -16,8 +16,6 @@ from jaxbound.models.named_faults import NamedFault
 from jaxbound.recordings.timestamps import label_text
 from jaxbound.text.objects import readable
 
-__all__ = ["BEGAN_ANEW", "ENDINGS", "GAP", "NO_LONGER", "ONSET_LEFT", "Alarm", "ending_of", "forgets_after"]
-
 ENDINGS = (
     "still on at the last sample",
     "no data after it",

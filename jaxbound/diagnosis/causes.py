@@ -15,8 +15,6 @@ from jaxbound.models.region import Departure
 from jaxbound.recordings.sample_axis import Place
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Explained", "Judged", "Verdicts", "diagnose"]
-
 MOST = 5
 """Windows of an alarm that a cause has to explain: what no window excludes costs the most."""
 

@@ -50,10 +50,6 @@ from jaxbound.relations.redundancy import Redundancy
 from jaxbound.relations.sentence import relation_text
 from jaxbound.text.names import listed
 
-__all__ = """
-    GuaranteedSize always_seen detectable is_affordable operating_reach row_widths visible_sizes window_shift
-""".split()
-
 ZERO = Fraction(0)
 ROUNDING = RECORDER_ULPS + 256
 """Unit roundoffs of a reading that a verdict may lose: what the recording rounds away, and the error bounds

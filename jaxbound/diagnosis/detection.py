@@ -29,8 +29,6 @@ from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.progress import reporter
 
-__all__ = ["detect", "margins"]
-
 
 def detect(
     relations: Watchable,

@@ -14,18 +14,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import percent, times
 from jaxbound.text.units import same_unit, without_unit
 
-__all__ = [
-    "bound_hints",
-    "column_unit_hints",
-    "device_hints",
-    "fit_hints",
-    "never_seen",
-    "outgrown",
-    "outgrown_by",
-    "unfit",
-    "unfit_by",
-]
-
 FOR = "the bounds were found from data for windows of {} samples,"
 MAY = "a FAULT may be no more than an error that lasts longer than those"
 NEARLY_ALL = 0.9

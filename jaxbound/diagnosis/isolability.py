@@ -33,8 +33,6 @@ from jaxbound.relations.decoupling import isolability as of_signals
 from jaxbound.relations.parity import parity_relations
 from jaxbound.text.objects import readable
 
-__all__ = ["FaultIsolability", "isolability"]
-
 ZERO = Fraction(0)
 
 

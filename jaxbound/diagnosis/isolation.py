@@ -29,8 +29,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.bank import PACKED
 from jaxbound.text.objects import readable
 
-__all__ = ["BankResult", "evaluate", "words_of"]
-
 
 @readable
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,6 @@ from jaxbound.consistency.interface import Relations
 from jaxbound.recordings.recording import NOWHERE
 from jaxbound.sets.floats.kernel import sparing
 
-__all__ = ["exact_margins", "tightest"]
-
 TOGETHER = 2**14
 """Windows that are gathered at once."""
 LOOKED = 2**16

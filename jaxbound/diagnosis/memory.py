@@ -22,8 +22,6 @@ from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.cost import relation_cost
 
-__all__ = ["SuggestedLags", "slowest", "spread_lags", "suggest_lags"]
-
 SHORTEST, LONGEST = 8, 512
 """Spans that are tried, in samples; each is half of the one before."""
 ENOUGH = 1.25

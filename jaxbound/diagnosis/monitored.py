@@ -21,8 +21,6 @@ from jaxbound.text.objects import readable
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["MonitorResult"]
-
 
 @readable
 @dataclass(frozen=True, eq=False)

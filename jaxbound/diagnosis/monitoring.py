@@ -20,8 +20,6 @@ from jaxbound.relations.cost import relation_cost
 from jaxbound.relations.parity import parity_relations
 from jaxbound.text.progress import Progress, in_part, reporter
 
-__all__ = ["Watchable", "monitor", "relations_of_test"]
-
 Watchable: TypeAlias = Relations | ModelLike | str | PathLike[str]
 """What `detect` takes: relations, an observer, a monitor; or a plant, which its own monitor watches."""
 

@@ -15,8 +15,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 
-__all__ = ["NOT_REFUTED", "ObserverResult", "shown_name"]
-
 NOT_REFUTED = "UNDECIDED (not refuted)"
 """UNDECIDED for readers, where it is what a healthy sample is."""
 

@@ -18,8 +18,6 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 
-__all__ = ["least_seen", "shifts", "time_constants"]
-
 LEAST, MOST = 100, 3000
 """Samples before the fault, in which the observer settles, and with it."""
 STEADY = 1 - 1e-9

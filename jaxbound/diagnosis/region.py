@@ -12,8 +12,6 @@ from jaxbound.models.region import Departure, Region
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
-__all__ = ["Excursions", "Outside"]
-
 NEARLY_ALL = 0.9
 """Share of FAULT windows from which on a sentence begins with the region."""
 KINDS = ALL, FAULTS, SUSPECT = range(3)

@@ -37,8 +37,6 @@ from jaxbound.text.objects import readable
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Result", "found_by", "result_of", "suspected"]
-
 
 def suspected(status: np.ndarray, margin: np.ndarray) -> np.ndarray:
     """Return bool: outside the set as computed, proved or not; False where MISSING."""

@@ -21,8 +21,6 @@ from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Severity", "fitted"]
-
 
 class Severity:
     """The tests by which FAULT windows of relations, or of a monitor, count.

@@ -21,8 +21,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["UNKNOWN", "Suspect", "nameless", "suspect_of_window", "tells_causes"]
-
 READINGS = 64  # in a window, from which on exact errors of single sensors take too long: 122 take a minute
 ALIKE = 2  # jumps are about as large if neither error is more than so many times the other
 

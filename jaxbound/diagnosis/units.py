@@ -22,8 +22,6 @@ from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.floats.kernel import sparing, tried_in_numpy
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["unit_hints"]
-
 MOST, NEARLY_ALL = 0.5, 0.95
 """Share of FAULT windows that makes us look, share of CONSISTENT ones that makes us speak."""
 FEW, MANY = 16, 256

@@ -17,22 +17,6 @@ from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.suspects import UNKNOWN, Suspect
 from jaxbound.models.region import Departure
 
-__all__ = [
-    "ACKNOWLEDGED",
-    "BEGINS",
-    "ENDS",
-    "LASTING",
-    "NO_DATA",
-    "NO_SAMPLE",
-    "OPPOSITE",
-    "OTHER",
-    "Event",
-    "Raised",
-    "Seen",
-    "Watch",
-    "often",
-]
-
 OPPOSITE = "ended by an opposite jump"
 ACKNOWLEDGED = "acknowledged"
 LASTING = "open at the end: nothing speaks for a repair"

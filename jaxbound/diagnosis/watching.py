@@ -17,8 +17,6 @@ from jaxbound.models.region import Region
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Watching"]
-
 NONE = np.zeros((0, 0))
 
 

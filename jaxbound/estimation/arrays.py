@@ -5,6 +5,4 @@ from typing import TypeAlias
 import jax
 import numpy as np
 
-__all__ = ["Array"]
-
 Array: TypeAlias = np.ndarray | jax.Array

@@ -13,8 +13,6 @@ import numpy as np
 from jaxbound.estimation.arrays import Array
 from jaxbound.sets.floats.threads import inherited
 
-__all__ = ["chosen", "in_blocks", "in_lanes", "recordings_of", "repeated"]
-
 T = TypeVar("T")
 
 

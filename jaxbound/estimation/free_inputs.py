@@ -15,8 +15,6 @@ from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.set_rounding import SetRounding
 from jaxbound.sets.floats.unrolled import summed
 
-__all__ = ["Free", "Known", "Reading", "known_again", "times"]
-
 
 class Free(NamedTuple):
     """The ways to take unknown inputs out of a sample, on the last axis: see `models.unknown_directions`.

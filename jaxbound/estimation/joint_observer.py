@@ -40,8 +40,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 
-__all__ = ["JointObserver", "JointState", "joint_observer"]
-
 SETTLED = 8
 """Blocks after which the directions stay as they are."""
 

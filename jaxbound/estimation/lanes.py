@@ -4,8 +4,6 @@ import numpy as np
 
 from jaxbound.estimation.zonotope_steps import Found
 
-__all__ = ["emptied", "joined"]
-
 
 def joined(found: Found, lanes: int) -> Found:
     """Return the verdict (.., N) of sets side by side (.., N lanes): one of them refutes for all, the state

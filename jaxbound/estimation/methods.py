@@ -13,17 +13,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 if TYPE_CHECKING:
     from jaxbound.estimation.set_observer import SetObserver, ZonotopeObserver
 
-__all__ = [
-    "OBSERVERS",
-    "Joint",
-    "LeastZonotope",
-    "ObserverMethod",
-    "ShellOption",
-    "WeightedZonotopes",
-    "observer_method",
-    "shell_options",
-]
-
 
 class ShellOption(NamedTuple):
     """An option of a method on the command line, a whole number.

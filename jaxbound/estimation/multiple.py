@@ -23,8 +23,6 @@ from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.intervals.interval import sum as interval_sum
 from jaxbound.sets.linear_systems.products import product
 
-__all__ = ["validate_parts"]
-
 
 def validate_parts(
     model: MultiModel,

@@ -10,8 +10,6 @@ from jaxbound.estimation.zonotope_steps import ZonotopeCarry
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 
-__all__ = ["CarriedState", "Observation", "State"]
-
 
 class CarriedState(Protocol):
     """The state of any set observer, a NamedTuple: its zonotopes, and how many samples there were."""

@@ -20,8 +20,6 @@ from jaxbound.models.unknown_directions import Directions, unknown_directions, w
 from jaxbound.recordings.factors import raised
 from jaxbound.sets.floats import rounding
 
-__all__ = ["ObservedModel", "ObservedPlant", "observed_plant"]
-
 ObservedModel: TypeAlias = LinearSystem | IntervalSystem
 
 

@@ -19,8 +19,6 @@ from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
-__all__ = ["observe", "observer"]
-
 ORDER = 20.0
 WEIGHTS = (1.0, 30.0, 1000.0)
 """Sets side by side where nothing else is asked for: one for faults that are sudden, two for those that last

@@ -9,8 +9,6 @@ from jaxbound.estimation.window import OFF, Prior
 from jaxbound.estimation.zonotope_steps import Numbers
 from jaxbound.sets.floats import rounding
 
-__all__ = ["ROUNDED", "lasting", "parallelotope", "principal", "template"]
-
 SLOW = 0.1
 """Share of a mode that is left, above which a strip bounds it."""
 ROUNDED = 1 + 1e-9

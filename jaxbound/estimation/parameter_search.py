@@ -17,8 +17,6 @@ from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.sets.paving.frontier import Verdicts, explore
 from jaxbound.text.progress import Progress
 
-__all__ = ["ENDED", "FOUND", "STOPPED", "Search"]
-
 FOUND, ENDED, STOPPED = "found", "budget ended", "interrupted"
 """How a search ends: with boxes as small as was asked, after so many boxes, or by the user."""
 NEAR = 16

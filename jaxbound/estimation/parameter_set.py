@@ -14,8 +14,6 @@ from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.sets.floats import rounding
 from jaxbound.text.objects import readable
 
-__all__ = ["EMPTY", "ParameterSet"]
-
 EMPTY = "FAULT"
 """The status where no parameters are left."""
 DIGITS = 4

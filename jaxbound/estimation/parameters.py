@@ -24,8 +24,6 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.text.progress import reporter
 
-__all__ = ["parameters"]
-
 BUDGET = 20_000
 """Boxes that are judged."""
 PRECISION = 1 / 32

@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Piece"]
-
 
 class Piece(NamedTuple):
     """T samples of N recordings, read once. Of one sample all are without their first axis.

@@ -6,8 +6,6 @@ import numpy as np
 
 from jaxbound.sets.floats import rounding
 
-__all__ = ["SetRounding", "largest_number", "set_rounding"]
-
 
 class SetRounding(NamedTuple):
     """The factors of bounds of rounding.

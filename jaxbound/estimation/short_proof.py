@@ -14,8 +14,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.relations.parity import parity_relations
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["ObservedResult", "short_proof"]
-
 LONGEST, SHORT, CLEARLY = 512, 8, 1 + 1e-6
 """Steps of the longest window that a certificate speaks of, of the longest of parity relations, and the
 factor it must be beyond.

@@ -40,8 +40,6 @@ from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress, in_part, reporter
 
-__all__ = ["UnknownInputs", "unknown_inputs"]
-
 KEPT = 48
 """Ways to work an unknown input out that are used at most: the tightest ones."""
 

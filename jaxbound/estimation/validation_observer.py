@@ -24,8 +24,6 @@ from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.text.objects import readable
 
-__all__ = ["ValidatedModel", "ValidationObserver", "ValidationState", "least_horizon"]
-
 ValidatedModel: TypeAlias = LinearSystem | IntervalSystem | MultiModel
 SHORTEST = 16
 """Samples that a kernel is compiled for, at least."""

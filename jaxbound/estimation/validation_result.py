@@ -9,8 +9,6 @@ from jaxbound.estimation.arrays import Array
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 
-__all__ = ["Validation"]
-
 
 @readable
 @jax.tree_util.register_dataclass

@@ -33,8 +33,6 @@ from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.linear_systems.ends import ends, interval_of
 from jaxbound.sets.linear_systems.fixed_systems import Prepared, prepare
 
-__all__ = ["HostCarry", "Slide", "Stretch"]
-
 BLOCK = {"joint": 32, "sequential": 512}
 """Recordings side by side: linear programs of a block go on until the last is solved."""
 WINDOWS = 1024

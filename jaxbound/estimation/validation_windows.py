@@ -18,8 +18,6 @@ from jaxbound.sets.linear_systems.ends import added, interval_of, negative, none
 from jaxbound.sets.linear_systems.fixed_systems import Prepared, solutions
 from jaxbound.sets.linear_systems.hull import tighten
 
-__all__ = ["Slid", "ValidationCarry", "ValidationPlant", "ValidationSamples", "begun", "slide", "weighted"]
-
 STEPS = 20
 """Exchanges at most for one bound of the joint method, beside six for each unknown."""
 

@@ -36,8 +36,6 @@ from jaxbound.estimation.window_runs import AverageRows, bounds_of
 from jaxbound.estimation.zonotope_steps import Numbers
 from jaxbound.sets.floats import rounding
 
-__all__ = ["OFF", "Image", "Prior", "Samples", "WindowPlant", "through"]
-
 STEEPEST = 2.0**60
 """Multipliers from it on are taken for 0: any will do, and these would overflow."""
 LESS, OFF = 1 - 1e-9, 1e-12

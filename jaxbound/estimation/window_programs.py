@@ -10,8 +10,6 @@ from jaxbound.estimation.blocks import chosen, in_lanes
 from jaxbound.estimation.window import Prior, Samples, WindowPlant, through
 from jaxbound.estimation.window_search import program_of, searched
 
-__all__ = ["ROOM", "gauges", "supports"]
-
 ROOM = 32
 """Windows side by side in the one kernel there is: see `set_observer.BLOCK`. A search ends with the slowest
 of them.

@@ -19,8 +19,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows
 from jaxbound.sets.floats import rounding
 
-__all__ = ["AverageRows", "average_rows", "bounds_of"]
-
 
 class AverageRows(NamedTuple):
     """The runs of averages in windows of L samples, in float64.

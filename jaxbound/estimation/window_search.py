@@ -33,8 +33,6 @@ import numpy as np
 from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.window import Image, WindowPlant, through
 
-__all__ = ["WindowProgram", "program_of", "searched"]
-
 PACE = 0.15
 """Share of the complementarity that is left after a step."""
 STEPS = 40

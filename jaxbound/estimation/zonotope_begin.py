@@ -33,8 +33,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import Directions
 from jaxbound.sets.floats import rounding
 
-__all__ = ["least_horizon", "left_inverse", "price", "zonotope_begin"]
-
 Fractions: TypeAlias = Sequence[Sequence[Fraction]]
 
 

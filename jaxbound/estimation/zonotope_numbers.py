@@ -18,8 +18,6 @@ from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.sets.zonotopes.reduction import reduce_order
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
-__all__ = ["ROUNDED", "FirstSet", "exactly", "first_set", "free_numbers", "middle", "nearest", "numbers"]
-
 ROUNDED = 1 + 1e-9
 """Above what rounding does to a few thousand sums and products of numbers >= 0 in float64."""
 

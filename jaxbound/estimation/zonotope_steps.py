@@ -38,8 +38,6 @@ from jaxbound.sets.floats.sizes import power
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.unrolled import stored, summed
 
-__all__ = ["Found", "Numbers", "Start", "ZonotopeCarry", "follow", "unknown"]
-
 
 class Numbers(NamedTuple):
     """A model in floats.

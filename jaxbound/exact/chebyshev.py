@@ -21,8 +21,6 @@ import numpy as np
 
 from jaxbound.exact import linalg
 
-__all__ = ["Optimum", "chebyshev", "likely_point", "nearest"]
-
 SPREAD = 1e12
 """The largest radius over the smallest one that floats are told of."""
 PATIENCE = 20

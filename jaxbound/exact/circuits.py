@@ -22,8 +22,6 @@ from jaxbound.exact.linalg import (
     transpose,
 )
 
-__all__ = ["circuits"]
-
 
 def circuits(a: Rows) -> Matrix:
     """Return every vector of minimal support with h a = 0, one of each pair h, -h.

@@ -21,8 +21,6 @@ Exact: TypeAlias = NDArray[np.object_]
 """A matrix of Fractions, or of Python's integers."""
 Rational: TypeAlias = Sequence[Sequence[Fraction | int]] | Exact
 
-__all__ = ["absolute_integral", "exponential"]
-
 TERMS = 30  # of the series, for a matrix of norm 1/4 or less: what follows is below 2^-170
 BITS = 160
 PIECES = 512

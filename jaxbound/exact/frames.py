@@ -11,8 +11,6 @@ from typing import Self
 from jaxbound.exact.linalg import Rows, Whole, echelon, integers, over_one, transpose
 from jaxbound.text.progress import in_part, reporter
 
-__all__ = ["ExactFrame", "frame"]
-
 
 @dataclass(frozen=True)
 class ExactFrame:

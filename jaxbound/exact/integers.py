@@ -5,8 +5,6 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["places", "ratios", "total", "whole_floats"]
-
 MANTISSA = 53
 """Bits of a float: times 2^53 its mantissa is whole."""
 LARGEST = 1000

@@ -17,13 +17,6 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = """
-    Matrix MatrixLike Number Row Rows Vector Whole
-    add_multiple beside cancel columns_of determinant dot echelon floats identity integers inverse
-    left_null_space matmul matrix minimal_span multiply over_one presentable primitive rank rational
-    row_reduce scale transpose zeros
-""".split()
-
 Vector: TypeAlias = tuple[Fraction, ...]
 Matrix: TypeAlias = tuple[Vector, ...]
 Number: TypeAlias = int | float | str | Fraction | Decimal | np.number

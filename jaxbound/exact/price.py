@@ -6,8 +6,6 @@ from jaxbound.text.progress import LOG, PATIENCE
 from jaxbound.text.quantities import rough_duration
 from jaxbound.text.warned import warn
 
-__all__ = ["SECONDS", "refuse_or_say"]
-
 SECONDS = 600.0
 """What exact numbers may take at most."""
 SILENCE = 60.0

@@ -13,8 +13,6 @@ from math import gcd
 
 from jaxbound.text.progress import Progress, reporter
 
-__all__ = ["null_space", "pivot_columns"]
-
 SOME = 500
 """Equations between two reports."""
 

@@ -17,8 +17,6 @@ from numpy.typing import ArrayLike
 
 from jaxbound.files.whole import whole
 
-__all__ = ["Checkpoint", "as_texts", "differences", "from_texts", "refuse_other"]
-
 IDENTITY = "identity"
 Tree = TypeVar("Tree")
 

@@ -9,8 +9,6 @@ from os import PathLike
 from pathlib import Path
 from typing import IO
 
-__all__ = ["NO_LINKS", "open_unlinked", "sync", "sync_folder"]
-
 NO_LINKS: int | None = getattr(os, "O_NOFOLLOW", None)
 """The flag that opens a file and no link; None where the system has none."""
 FOLDERS: int | None = getattr(os, "O_DIRECTORY", None)

@@ -3,8 +3,6 @@
 import os
 from pathlib import Path
 
-__all__ = ["cache_folder"]
-
 
 def cache_folder() -> Path:
     """Return the folder of what can be computed again: `jaxbound` in `$XDG_CACHE_HOME`, by default

@@ -17,8 +17,6 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["let_go", "lock", "locked", "refuse_link", "unshared"]
-
 
 def refuse_link(path: str | PathLike[str], folder: bool = False, replaced: bool = False) -> None:
     """Refuse a link under a name of ours: writing to it would write to somebody else's file.

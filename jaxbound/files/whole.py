@@ -12,8 +12,6 @@ from jaxbound.files.disk import sync as force
 from jaxbound.files.disk import sync_folder
 from jaxbound.files.locks import let_go, locked, refuse_link
 
-__all__ = ["UNFINISHED", "put", "whole"]
-
 UNFINISHED = ".jaxbound-part"  # ends the name of a file that is being written
 
 

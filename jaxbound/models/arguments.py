@@ -5,8 +5,6 @@ from typing import TypeVar
 
 from jaxbound.models.numbers import is_whole
 
-__all__ = ["listed_argument", "table_argument", "whole_horizon", "whole_lags"]
-
 Name = TypeVar("Name")
 Value = TypeVar("Value")
 Element = TypeVar("Element")

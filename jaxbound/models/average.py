@@ -23,8 +23,6 @@ from jaxbound.models.numbers import is_whole, number
 from jaxbound.models.rows import WeightedSum
 from jaxbound.text.names import listed
 
-__all__ = ["Average", "Averaged", "averages_of"]
-
 
 @dataclass(frozen=True)
 class Average:

@@ -19,8 +19,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.random.threefry import Array
 from jaxbound.sets.floats import rounding
 
-__all__ = ["AverageNumbers", "Places", "kept_averages", "places_of"]
-
 Places: TypeAlias = tuple[tuple[bool, int, int], ...]
 """(whether of an output, number of the signal, samples) of each average."""
 AverageNumbers: TypeAlias = tuple[tuple[np.ndarray, np.ndarray], ...]
@@ -31,7 +29,7 @@ def places_of(model: LinearSystem, dtype: np.dtype) -> tuple[Places, AverageNumb
     """Return the places of a model's averages, and their numbers in floats, bounds rounded down."""
     places, numbers = [], []
     for average in model.averages:
-        weights = np.array([float(x) for x in average.weights], dtype)
+        weights = np.array(list(map(float, average.weights)), dtype)
         places.append((*average.place(model.outputs), len(weights)))
         numbers.append((weights, rounding.round_down(average.bound, dtype)))
     return tuple(places), tuple(numbers)

@@ -17,8 +17,6 @@ from jaxbound.exact.linalg import rational
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.times import refuse_factors
 
-__all__ = ["ModelLike", "StateSpace", "as_model", "from_control", "from_scipy", "hold"]
-
 
 class StateSpace(Protocol):
     """A state-space object of python-control or scipy.signal: its matrices, arrays of numbers."""

@@ -24,8 +24,6 @@ from jaxbound.exact.exponential import absolute_integral, exponential
 from jaxbound.exact.linalg import rational
 from jaxbound.models.conversion import hold
 
-__all__ = ["Affine", "decimals", "held"]
-
 
 @dataclass(frozen=True)
 class Affine:

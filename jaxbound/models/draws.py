@@ -13,8 +13,6 @@ import numpy as np
 
 from jaxbound.random.threefry import JAX_ROUNDS, Array, threefry
 
-__all__ = ["normal_draws", "uniform_draws"]
-
 FEW = 2**18
 """Numbers up to which the host draws them: some ten milliseconds."""
 

@@ -19,8 +19,6 @@ from jaxbound.models.numbers import number
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 
-__all__ = ["with_faults"]
-
 KINDS = ("bias", "drift")
 
 

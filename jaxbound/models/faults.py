@@ -6,8 +6,6 @@ from jaxbound.recordings.expressions import missing_column
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.objects import readable
 
-__all__ = ["Fault", "refuse_unknown_signal"]
-
 KINDS = ("bias", "drift", "gain", "noise", "tolerance", "stuck", "dropout")
 
 

@@ -15,26 +15,6 @@ from typing import Any, TypeAlias
 from jaxbound.exact.linalg import Matrix
 from jaxbound.models.average import Average
 
-__all__ = [
-    "AVERAGE",
-    "AVERAGES",
-    "BOUND",
-    "MATRIX",
-    "NOISE",
-    "NUMBER",
-    "RANGE",
-    "SHARES",
-    "TEXT",
-    "TRUTH",
-    "Table",
-    "ValueKind",
-    "as_list",
-    "as_table",
-    "in_list",
-    "known_fields",
-    "number_text",
-]
-
 Table: TypeAlias = dict[str, Any]
 """A table as TOML has it."""
 Stated: TypeAlias = tuple[int | str | list[int | str], int | str]

@@ -15,8 +15,6 @@ import numpy as np
 
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["fingerprint"]
-
 
 def fingerprint(*things: object) -> str:
     """Return a text that differs where any of the things differs, exactly: a model in any field, an array in

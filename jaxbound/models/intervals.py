@@ -21,8 +21,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.text.objects import readable
 
-__all__ = ["IntervalSystem", "as_intervals", "interval_system", "stacked"]
-
 Entries: TypeAlias = Interval | np.ndarray | Sequence[Sequence[Any]]
 """A matrix: an Interval, or rows whose entries are numbers or pairs (lo, hi)."""
 
@@ -168,7 +166,7 @@ def _entries(name: str, rows: Entries) -> Interval:
             raise ValueError(f"{name} must have finite bounds in every entry")
         return rows
     try:
-        ends = [[_pair(x) for x in row] for row in rows]
+        ends = [list(map(_pair, row)) for row in rows]
     except (ValueError, TypeError) as e:
         raise ValueError(f"{name}: {e}") from None
     width = len(ends[0]) if ends else 0

@@ -27,8 +27,6 @@ from jaxbound.models.unknown import Bounded
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.sets.inclusion.functions import frozen
 
-__all__ = ["linearize"]
-
 Ends: TypeAlias = list[tuple[Fraction, Fraction]]
 """A box: (lo, hi) of each entry."""
 
@@ -347,7 +345,7 @@ def _point(field: str, values: object) -> list[Fraction]:
     """Return one number, or several, exactly. field: its name in sentences."""
     several = cast("Sequence[Number]", values if np.ndim(cast("ArrayLike", values)) else [values])
     try:
-        return [rational(x) for x in several]
+        return list(map(rational, several))
     except ValueError as e:
         raise ValueError(f"{field}: {e}") from None
 

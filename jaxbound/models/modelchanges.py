@@ -6,8 +6,6 @@ from typing import Any
 from jaxbound.models.filevalues import Table
 from jaxbound.models.modelfields import LISTS, READ_BY
 
-__all__ = ["changes_between", "with_changes"]
-
 MERGED = ("inputs", "outputs")
 """Tables that are changed by the name of their signal; others stand in place of those of the file."""
 ABSENT: Mapping[str, object] = {"averages": [], "noise": "0", "resolution": "0", "offset": "0"}

@@ -32,8 +32,6 @@ from jaxbound.models.statedtests import stated_tests
 from jaxbound.models.system import ORIGINS, LinearSystem, matrices_at_zero
 from jaxbound.models.uncertainty import Uncertainty
 
-__all__ = ["FIELDS", "LISTS", "READ_BY", "Entry", "field_names", "model_arguments", "value_texts"]
-
 LISTS = ("inputs", "outputs", "disturbances", "uncertainty", "fault")
 """Places of which a file has several, each a table of its own."""
 

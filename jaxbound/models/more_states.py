@@ -8,8 +8,6 @@ from jaxbound.models.named_faults import faults_beside_states
 from jaxbound.models.system import LinearSystem, matrices_at_zero
 from jaxbound.models.uncertainty import Uncertainty, coefficient
 
-__all__ = ["Acting", "more_states"]
-
 Acting: TypeAlias = Callable[[Mapping[str, Matrix]], tuple[Matrix, Matrix]]
 """Of matrices by their letters: the columns (n, k), (p, k) by which more states act on x+ and y."""
 

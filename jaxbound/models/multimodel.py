@@ -15,8 +15,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval, interval
 from jaxbound.text.objects import readable
 
-__all__ = ["MultiModel"]
-
 UNITS = 32
 """A weight is taken to be within so many units of roundoff (16 ulps) of the number that the user's function
 returns.
@@ -59,7 +57,7 @@ class MultiModel:
     partial: bool = False
 
     def __post_init__(self) -> None:
-        models = tuple(as_intervals(m) for m in self.models)
+        models = tuple(map(as_intervals, self.models))
         if len(models) < 2:
             raise ValueError(f"a MultiModel needs at least two models, not {len(models)}")
         counts = {"inputs": [m.m for m in models], "outputs": [m.p for m in models]}

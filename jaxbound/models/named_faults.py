@@ -24,8 +24,6 @@ from jaxbound.recordings.expressions import missing_column
 from jaxbound.text.names import listed
 from jaxbound.text.objects import readable
 
-__all__ = ["PARAMETER", "NamedFault", "default_faults", "faults_beside_states", "named_faults"]
-
 PARAMETER = "parameter"
 KINDS = {
     "output": ("bias", "gain"),

@@ -9,8 +9,6 @@ import numpy as np
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, MatrixLike, Number
 
-__all__ = ["entries_of", "exact_matrix", "is_real", "is_whole", "number", "ordered_pair"]
-
 
 def is_real(x: object) -> TypeGuard[float]:
     """Return whether something is a number: of Python or NumPy, and no bool."""

@@ -7,8 +7,6 @@ from jaxbound.models.numbers import number
 from jaxbound.models.system import LinearSystem
 from jaxbound.text.names import listed
 
-__all__ = ["at_factors"]
-
 
 def at_factors(model: LinearSystem, factors: Mapping[str, Number] | None) -> LinearSystem:
     """Return a model with its noise at one value of each of its factors, and without them.

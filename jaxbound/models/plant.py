@@ -13,8 +13,6 @@ from jaxbound.models.numbers import entries_of, exact_matrix, number
 from jaxbound.models.uncertainty import Uncertainty, centred, influences
 from jaxbound.models.unknown import Bounded, Given, decoupled, unbounded_inputs
 
-__all__ = ["Plant", "plant", "refuse_state_space"]
-
 
 @dataclass(frozen=True)
 class Plant:

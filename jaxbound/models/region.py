@@ -15,8 +15,6 @@ from jaxbound.models.window import input_lags
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.objects import readable
 
-__all__ = ["Departure", "Region"]
-
 ROUNDED = 1e-6
 """Share of a range that is no excess: computed signals and narrower floats round."""
 UNIT = 2.0**-23

@@ -27,8 +27,6 @@ from jaxbound.sets.inclusion.jaxprs import evaluate, refuse_unsupported
 from jaxbound.sets.inclusion.lifted import enclose
 from jaxbound.sets.intervals.interval import Interval, add, interval, mid, mul, sub, sum
 
-__all__ = ["Plane", "derivatives", "plane"]
-
 CELLS = 4096
 
 Function: TypeAlias = Callable[[jax.Array], jax.Array]

@@ -32,8 +32,6 @@ import numpy as np
 
 from jaxbound.exact.linalg import Vector
 
-__all__ = ["Kind", "Row", "Term", "WeightedSum", "WindowRows"]
-
 ONE = (Fraction(1),)
 
 

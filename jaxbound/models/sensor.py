@@ -19,8 +19,6 @@ import numpy as np
 
 from jaxbound.sets.floats import rounding
 
-__all__ = ["RECORDER_ULPS", "input_slip", "largest_error", "lift", "true_range", "true_value"]
-
 RECORDER_ULPS = 4
 """A sample is known to this many unit roundoffs of its float type, times the largest |y| of its signal in the
 window plus noise.
@@ -63,7 +61,7 @@ def true_value(
         relative to (`rounding.residual_error`), all of the dtype of the samples. Every radius is > 0.
     """
     e = 1 / ((1 - tolerance) * (1 + tolerance))
-    absent = [jnp.isnan(y) for y in samples]
+    absent = list(map(jnp.isnan, samples))
     # keeps NaN out of gradients
     samples = [jnp.where(gone, 0, y) for gone, y in zip(absent, samples, strict=True)]
     if largest is None:

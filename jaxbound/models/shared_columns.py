@@ -16,8 +16,6 @@ from typing import TypeAlias
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.expressions import expression, is_expression
 
-__all__ = ["Follower", "Polynomial", "followers"]
-
 Polynomial: TypeAlias = Mapping[tuple[str, ...], Fraction]
 """{columns that are multiplied, in order, each as often as its power: coefficient}."""
 ONE: Polynomial = {(): Fraction(1)}

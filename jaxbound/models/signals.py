@@ -18,18 +18,6 @@ from jaxbound.recordings.expressions import expression, is_expression
 from jaxbound.recordings.means import EVERY
 from jaxbound.text.names import listed
 
-__all__ = [
-    "Each",
-    "ModelSignals",
-    "Sensors",
-    "Words",
-    "model_signals",
-    "named",
-    "refuse_other_every",
-    "sensors",
-    "words",
-]
-
 Each: TypeAlias = Number | Sequence[Number] | np.ndarray | jax.Array
 """One number for all, or one for each."""
 Names: TypeAlias = str | Sequence[str] | None

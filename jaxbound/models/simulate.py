@@ -37,17 +37,6 @@ from jaxbound.sets.floats.rounding import Pair
 from jaxbound.sets.floats.sizes import power
 from jaxbound.text.objects import readable
 
-__all__ = [
-    "Acts",
-    "Channel",
-    "Recorded",
-    "Trajectory",
-    "channel_of",
-    "recorded_inputs",
-    "simulate",
-    "simulated",
-]
-
 FEW, TINY = 2**16, 2**10
 """Samples of all recordings up to which as many as the next power of two, or of four, are compiled for: few
 shapes serve all.

@@ -29,8 +29,6 @@ from jaxbound.models.filevalues import (
 from jaxbound.models.numbers import is_whole, number
 from jaxbound.recordings.expressions import expression
 
-__all__ = ["OTHERWISE", "StatedTest", "StatedTests", "lines_of", "stated_tests"]
-
 OTHERWISE = "otherwise"
 """The condition that holds where none of the other tests' conditions does."""
 OPTIONS = ("latched", "order", "weight", "window")
@@ -158,7 +156,7 @@ def _as_in_a_file(value: object) -> object:
     if isinstance(value, Mapping):
         return {key: _as_in_a_file(x) for key, x in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return [_as_in_a_file(x) for x in value]
+        return list(map(_as_in_a_file, value))
     if isinstance(value, float | Fraction | Decimal | np.floating):
         return number_text(rational(value))
     if isinstance(value, np.integer):

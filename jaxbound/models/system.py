@@ -36,8 +36,6 @@ from jaxbound.recordings.factors import Factor
 from jaxbound.text.objects import readable
 from jaxbound.text.units import without_unit
 
-__all__ = ["FOR_OBSERVER", "ORIGINS", "TO_THE_END", "LinearSystem", "matrices_at_zero"]
-
 FOR_OBSERVER = "for an observer"
 """Words in the provenance of bounds from data that were found for one, not for windows."""
 TO_THE_END = "from start to end"

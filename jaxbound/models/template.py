@@ -1,7 +1,5 @@
 """A commented model file, which loads as it is: what a user begins with."""
 
-__all__ = ["template"]
-
 
 def template() -> str:
     """Return a commented model file that loads as it is: a starting point for one's own.

@@ -11,8 +11,6 @@ from jaxbound.models.statedtests import StatedTest
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.watched import watched
 
-__all__ = ["model_of", "with_tests"]
-
 SAME = ("dt", "inputs", "outputs")
 
 

@@ -10,8 +10,6 @@ from jaxbound.recordings.factors import factors_of, read_factor
 from jaxbound.recordings.signals import Named
 from jaxbound.text.names import listed
 
-__all__ = ["inputs_for_factors", "refuse_factors", "times_of"]
-
 
 def refuse_factors(model: Named) -> None:
     """Raise ValueError for a model with factors on its noise: said wherever they are not known.

@@ -13,8 +13,6 @@ from jaxbound.exact.linalg import Matrix, MatrixLike, Number
 from jaxbound.models.numbers import exact_matrix, ordered_pair
 from jaxbound.text.objects import readable
 
-__all__ = ["Uncertainty", "centred", "coefficient", "influences"]
-
 LETTERS = ("A", "B", "C", "D")
 
 

@@ -13,17 +13,6 @@ from jaxbound.models.numbers import entries_of, exact_matrix
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.text.names import listed
 
-__all__ = [
-    "Bounded",
-    "Coupling",
-    "Given",
-    "Matrices",
-    "decoupled",
-    "explicit",
-    "unbounded_inputs",
-    "without_descriptor",
-]
-
 Coupling: TypeAlias = MatrixLike | tuple[MatrixLike, MatrixLike]
 """How unknown inputs are given: F, or (F, D_v)."""
 Bounded: TypeAlias = tuple[MatrixLike, Number | Sequence[Number | Sequence[Number]] | np.ndarray]

@@ -29,8 +29,6 @@ from jaxbound.exact.linalg import Matrix, Vector, columns_of
 from jaxbound.models.more_states import more_states
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["Directions", "Way", "unknown_directions", "with_direct_states"]
-
 WAYS, TRIED = 16, 200
 """Sets of outputs that S is worked out of, at most: where one of them is missing, another is taken. And how
 many are tried.

@@ -10,8 +10,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.factors import IN_PART, Condition, Factor, factors_of, known
 from jaxbound.recordings.signals import SignalModel
 
-__all__ = ["NO", "UNKNOWN", "YES", "WatchedSystem", "modes_at", "watched"]
-
 NO, YES, UNKNOWN = np.int8(0), np.int8(1), np.int8(2)
 """Whether a condition holds at a sample."""
 

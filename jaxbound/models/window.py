@@ -27,19 +27,6 @@ from jaxbound.exact.linalg import Matrix, Vector, Whole
 from jaxbound.models.rows import Row, WindowRows
 from jaxbound.models.system import LinearSystem
 
-__all__ = [
-    "ParameterForm",
-    "actions",
-    "disturbance_form",
-    "first_form",
-    "input_lags",
-    "second_form",
-    "unbounded",
-    "unknown_lags",
-    "unknowns",
-    "window_rows",
-]
-
 ZERO = Fraction(0)
 
 

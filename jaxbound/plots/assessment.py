@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_assessment"]
-
 
 @plot.register(Assessment)
 def plot_assessment(res: Assessment) -> "Figure":

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Band", "draw_bands", "one_of", "one_recording", "one_signal"]
-
 
 class Band(NamedTuple):
     """One panel of a picture of bands, of one signal over (T,) samples.

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_bank"]
-
 
 @plot.register(BankResult)
 def plot_bank(res: BankResult, time: np.ndarray | None = None) -> "Figure":

@@ -21,23 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.typing import RcKeyType
 
-__all__ = [
-    "bins",
-    "canvas",
-    "chart",
-    "finish",
-    "inside",
-    "label_time",
-    "note",
-    "shade",
-    "stacked",
-    "style",
-    "thinning",
-    "time_axis",
-    "time_of",
-    "to_png",
-]
-
 COLOURS = {
     Status.MISSING: "#c9ccd1",
     Status.CONSISTENT: "#6fcfb0",

@@ -15,8 +15,6 @@ from jaxbound.models.rows import Row
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.intervals.interval import Interval
 
-__all__ = ["combination", "expected_readings"]
-
 ROWS, BLOCK = 512, 64  # relations that expected readings are taken from, and those taken side by side
 
 

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["figure_1", "figure_2", "paper_example"]
-
 
 def paper_example(z: Interval) -> list[Interval]:
     """Enclose p(z) = (2 z1^2 + z2, z1 - z2). Source: Adrot, Maquin, Ragot 2000, section 4.3."""

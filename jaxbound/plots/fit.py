@@ -13,8 +13,6 @@ from jaxbound.studies.identification.fit_result import Fitted
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["plot_fit"]
-
 
 @plot.register(Fitted)
 def plot_fit(model: Fitted) -> "Figure":

@@ -12,8 +12,6 @@ from jaxbound.sets.floats.status import Status
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["plot_observation"]
-
 
 @plot.register(Observation)
 def plot_observation(

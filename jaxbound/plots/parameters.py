@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_parameters"]
-
 PAIRS = 6
 """Pairs of parameters that are drawn at most."""
 ACROSS = 3

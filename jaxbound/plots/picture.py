@@ -8,8 +8,6 @@ import warnings
 
 from matplotlib.figure import Figure
 
-__all__ = ["Picture", "png"]
-
 DPI = 100
 """Of a picture in a notebook, which is as wide as a page there."""
 

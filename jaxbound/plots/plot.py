@@ -9,8 +9,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot"]
-
 
 @singledispatch
 def plot(thing: object, time: object = None, alarms: object = None, ax: object = None) -> "Figure | Axes":

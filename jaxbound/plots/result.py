@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draws_bounds", "drawn_margins", "plot_result", "timeline_of"]
-
 DRAWN = 2**16
 """Windows up to which a picture has exact margins; of more it has exact ones at FAULT windows alone."""
 

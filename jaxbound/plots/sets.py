@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_set", "plot_sets"]
-
 SIDES = 360  # of the polygon drawn around a constrained zonotope
 
 

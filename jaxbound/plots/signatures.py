@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_isolability", "plot_signatures"]
-
 HALF = "#8fb8d8"
 WIDTH = 6.4  # inches, for the title
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FAULTS", "StudyChart", "StudyCurve", "plot_study", "study_charts"]
-
 FAULTS, CURVES = 8, 4
 """Faults whose charts are drawn, and sizes whose delays are."""
 DELAYS = (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 100000)

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Timeline", "plot_timeline"]
-
 FACTORS = (0, 0.5, 1, 1.5, 2, 2.5, 3, 4, 5)
 STEEP = -4
 """Margin below which the axis is logarithmic."""

@@ -10,8 +10,6 @@ from jaxbound.studies.identification.fit_result import FitCheck
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_tradeoff"]
-
 
 def draw_tradeoff(ax: "Axes", legend: "Axes", check: FitCheck) -> None:
     """Draw the size of each fault from which on it is seen over the bound of the first output, as wide as a

@@ -12,8 +12,6 @@ from jaxbound.studies.tuning.tuning import TuneResult
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["plot_tuning"]
-
 
 @plot.register(TuneResult)
 def plot_tuning(res: TuneResult) -> "Figure":

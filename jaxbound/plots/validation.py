@@ -13,8 +13,6 @@ from jaxbound.plots.plot import plot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["plot_validation"]
-
 
 @plot.register(Validation)
 def plot_validation(

@@ -5,8 +5,6 @@ from typing import cast
 import jax
 import numpy as np
 
-__all__ = ["key_of"]
-
 
 def key_of(seed: jax.Array | int) -> jax.Array:
     """Return a jax.random key of a whole number, and a key as it is.

@@ -9,8 +9,6 @@ section 4.2.
 import jax
 import numpy as np
 
-__all__ = ["JAX_ROUNDS", "threefry"]
-
 Array = jax.Array | np.ndarray
 """What a kernel is called with, or sees."""
 

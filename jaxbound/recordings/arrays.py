@@ -33,17 +33,6 @@ from jaxbound.text.warned import warn_once
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "computed",
-    "float_arrays",
-    "floats",
-    "holds_both",
-    "inputs_of",
-    "is_made",
-    "refuse_infinite",
-    "without_words",
-]
-
 NO_TABLES: Mapping[str, Any] = MappingProxyType({})
 HALF = "{} is in half precision: convert it to float32 and state in `resolution` what was rounded away"
 

@@ -3,8 +3,6 @@
 import re
 from fractions import Fraction
 
-__all__ = ["every_text", "nanoseconds", "next_interval", "seconds_of"]
-
 UNITS = {"ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9, "d": 86400 * 10**9}
 """Nanoseconds of each."""
 INTERVAL = re.compile(r"\s*(\d+(?:\.\d+)?)?\s*(ms|s|min|h|d)\s*", re.ASCII)

@@ -16,21 +16,6 @@ from jaxbound.text.characters import cell
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = [
-    "Arrow",
-    "categories",
-    "from_arrow",
-    "header_line",
-    "is_plain",
-    "moments",
-    "texts",
-    "to_arrow",
-    "valid",
-    "words",
-    "write_columns",
-    "write_rows",
-]
-
 Arrow: TypeAlias = "pa.Array"
 """A column as pyarrow has it, which is imported where one is made."""
 UNITS = ("s", "ms", "us", "ns")

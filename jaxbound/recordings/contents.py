@@ -10,8 +10,6 @@ from pathlib import Path
 
 from jaxbound.recordings.parquetfiles import files_of
 
-__all__ = ["Contents", "Digests", "content"]
-
 BLOCK = 1 << 24  # bytes that a thread takes at once
 Digests = dict[tuple[Path, int], bytes]
 """{(file, first byte of a block): digest of the block}."""

@@ -15,8 +15,6 @@ from jaxbound.recordings.seams import TOLERATED_DT
 from jaxbound.recordings.timestamps import EPOCHS, from_epoch, scale_of, since_epoch, uneven_steps
 from jaxbound.text.units import time_unit
 
-__all__ = ["SECONDS", "SECONDS_ALONE", "Counting", "Numbers", "counting_of", "numbers_of", "read_numbers"]
-
 DAY = 86400.0
 SCALES = {"ns": 1e9, "us": 1e6, "ms": 1e3, "s": 1.0, "min": 1 / 60, "h": 1 / 3600, "d": 1 / DAY}
 """Units of times, and how many a second has."""

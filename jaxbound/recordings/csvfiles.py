@@ -22,8 +22,6 @@ from jaxbound.recordings.thousands import all_grouped, in_doubt, may_be_grouped
 from jaxbound.recordings.timestamps import parse_stamps
 from jaxbound.text.progress import reporter
 
-__all__ = ["CsvFile"]
-
 
 class CsvFile(Source):
     """A CSV file, or any file that no other kind of source takes."""

@@ -14,8 +14,6 @@ from typing import IO
 
 import numpy as np
 
-__all__ = ["BOM", "CountedLines", "is_open", "lines_of", "split_lines"]
-
 BOM = b"\xef\xbb\xbf"
 BLOCK = 1 << 20  # bytes looked at at once
 

@@ -17,21 +17,6 @@ from jaxbound.recordings.oddcells import ERRORS
 from jaxbound.recordings.timestamps import DIGITS, stamp_kind
 from jaxbound.text.names import listed
 
-__all__ = [
-    "BLANK",
-    "BLANK_CELLS",
-    "MISSING_CELLS",
-    "NUMBER",
-    "UNCLOSED",
-    "UNENDED",
-    "Layout",
-    "above_header",
-    "cells_of",
-    "delimiter_of",
-    "is_number",
-    "sniff",
-]
-
 WORDS = ("NaN", "nan", "NAN", "null", "NULL", "Null", "NA", "N/A", "n/a", "None", "none")
 BLANK_CELLS = ("", " ", *WORDS, *(f" {x}" for x in WORDS))
 MISSING_CELLS = (*BLANK_CELLS, *ERRORS)

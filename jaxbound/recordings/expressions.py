@@ -19,11 +19,6 @@ import numpy as np
 from jaxbound.text.names import listed, quoted
 from jaxbound.text.units import UNITS_OF_TIME, same_unit, without_unit
 
-__all__ = """
-    CLOCK TIMES TIME_SINCE_START Expression derived expression fails find_column is_expression likely
-    missing_column
-""".split()
-
 TIMES = (
     r"(date[ _-]?time|time[ _-]?stamp|time|zeit(stempel|punkt)?|horodatage|heure|fecha y "
     r"hora|hora|tiempo|tijd|tijdstip|tid|czas)\b.*",

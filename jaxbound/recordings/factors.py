@@ -18,20 +18,6 @@ from numpy.typing import DTypeLike
 from jaxbound.recordings.expressions import Expression, expression
 from jaxbound.recordings.signals import Named
 
-__all__ = [
-    "IN_PART",
-    "Condition",
-    "Factor",
-    "by_name",
-    "factors_of",
-    "followed_by",
-    "known",
-    "masked",
-    "narrowed",
-    "read_factor",
-    "with_factors",
-]
-
 LARGEST = 2.0**60
 """A bound so many times as wide is none, and a product with it might overflow."""
 IN_PART = 0.5

@@ -8,15 +8,6 @@ from jaxbound.recordings.factors import known
 from jaxbound.recordings.signals import Named
 from jaxbound.text.names import listed
 
-__all__ = [
-    "missing_hints",
-    "missing_samples",
-    "missing_sentences",
-    "recorded_step",
-    "refuse_short",
-    "rounding_hints",
-]
-
 FIRST = 20_000
 """Samples of which the different values are looked at first."""
 WITHOUT_INPUT = (

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.csv as pc
 
-__all__ = ["FEW", "Cells", "LineReader", "Opened", "refuse_infinite"]
-
 FEW = 8  # lines that are read one by one, sooner than pyarrow gets going
 Opened = Callable[[], IO[bytes]]
 """Opens the bytes of the lines, from their beginning."""
@@ -155,7 +153,7 @@ class LineReader:
         columns: dict[str, np.ndarray] = {}
         times: dict[str, pa.Array] = {}
         odd: dict[str, OddCells] = {}
-        read = [self._numbers_in(row) for row in rows]
+        read = list(map(self._numbers_in, rows))
         for name, i in self.index.items():
             written = [None if row[i] in BLANK_CELLS else row[i] for row in rows]
             if name in self.plan.texts:

@@ -31,8 +31,6 @@ from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source
 from jaxbound.recordings.stream import Complain, Stream, Taken, digests_of
 
-__all__ = ["LiveSource", "Readings"]
-
 NAMED = re.compile(r"(.+\.py):([A-Za-z_]\w*)")
 
 

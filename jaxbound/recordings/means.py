@@ -23,25 +23,6 @@ from jaxbound.recordings.factors import IN_PART, Factor, factors_of
 from jaxbound.recordings.seams import TOLERATED_DT, TOLERATED_STEP, USUAL
 from jaxbound.recordings.signals import Named, SignalModel, Signals
 
-__all__ = [
-    "EVERY",
-    "FIRST",
-    "Grid",
-    "Rows",
-    "TooShort",
-    "Unfinished",
-    "every_of",
-    "grid_of",
-    "instants",
-    "is_period",
-    "means_of",
-    "midnight_of",
-    "recorded_model",
-    "refuse_every",
-    "usual_step",
-    "with_every",
-]
-
 EVERY = "every"
 """Key of `columns` that holds the interval."""
 FIRST = 100  # samples that show the usual step: a stream waits for them
@@ -128,7 +109,7 @@ class Rows:
     def followed(self, other: "Rows") -> "Rows":
         """Return these samples and those behind them."""
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return Rows(*(np.concatenate(pair) for pair in pairs))
+        return Rows(*map(np.concatenate, pairs))
 
     def behind(self, first: int) -> "Rows":
         """Return the samples from number `first` on."""

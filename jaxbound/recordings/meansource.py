@@ -29,8 +29,6 @@ from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import PartSource, Progress, Source, with_hints
 from jaxbound.recordings.timestamps import SECOND
 
-__all__ = ["MeansSource", "PartMeans", "means_source"]
-
 ROWS = 1_000_000  # read at once
 
 

@@ -16,8 +16,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Stream
 
-__all__ = ["MeansStream"]
-
 
 class MeansStream(Stream):
     """The means of another stream.

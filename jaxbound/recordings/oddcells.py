@@ -15,10 +15,6 @@ from jaxbound.text.names import listed
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = """
-    ERRORS OddCells error_hints no_number odd_of_frame refuse_odd thousands unsaid_hints
-""".split()
-
 ERRORS = ("#VALUE!", "#DIV/0!", "#N/A", "#REF!", "#NUM!", "#NAME?", "#NULL!")
 """The errors of a spreadsheet."""
 MANY = 10  # words that a sentence repeats at most

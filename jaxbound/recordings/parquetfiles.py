@@ -23,21 +23,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-__all__ = [
-    "INDEX",
-    "PARTIAL",
-    "SUFFIXES",
-    "VERDICTS",
-    "Damage",
-    "checked",
-    "dated_columns",
-    "files_of",
-    "groups_of",
-    "opened",
-    "plan_of",
-    "spans_of",
-]
-
 SUFFIXES = (".parquet", ".pq")
 VERDICTS, PARTIAL = "verdicts.parquet", "verdicts.partial"  # folders that we write, complete and not
 INDEX = "__index_level_0__"  # where pandas puts an index without a name

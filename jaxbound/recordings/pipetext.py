@@ -27,8 +27,6 @@ from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, di
 from jaxbound.recordings.thousands import Doubt
 from jaxbound.recordings.timestamps import parse_stamps, since_epoch
 
-__all__ = ["PipeText"]
-
 SOURCE = "standard input"
 LONGEST = 1 << 20  # bytes of a line
 SHOWN = 100  # samples whose steps say whether the sampling period is the model's
@@ -337,7 +335,7 @@ class PipeText(Stream):
 
     def _resume(self, rows: list[Line]) -> list[Line]:
         """Find out how the stream goes on, from its first rows; return them without the header."""
-        plan, head = self._known_reader.plan, [_bare(line) for line in self.head]
+        plan, head = self._known_reader.plan, list(map(_bare, self.head))
         while rows and _bare(rows[0][1]) in head[:-1]:
             rows, self.repeated = rows[1:], True
         if not rows:

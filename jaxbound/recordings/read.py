@@ -24,8 +24,6 @@ from jaxbound.recordings.source import KINDS, Source
 from jaxbound.recordings.table import Data
 from jaxbound.text.progress import Progress, in_part, reporter
 
-__all__ = ["kind_of", "open_source", "read", "read_signals", "recorded"]
-
 Signal = str | tuple[str, str]
 """A name, or (name, column)."""
 

@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-__all__ = ["NOWHERE", "SINCE_1970", "Recording", "Times"]
-
 NOWHERE = np.zeros(0, np.int64)
 THE_MODEL = "the model has"
 """Who says dt, in sentences."""

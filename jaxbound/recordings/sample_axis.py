@@ -21,8 +21,6 @@ from jaxbound.text.quantities import decimal
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Labels", "Place", "SampleAxis", "numbered", "place_of", "row_of"]
-
 Place: TypeAlias = Any
 """What names a sample: its number, or its time, as text, a datetime, a datetime64 or a Timestamp."""
 Labels: TypeAlias = "pd.Index | np.ndarray | None"

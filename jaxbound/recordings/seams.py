@@ -15,26 +15,6 @@ from numpy.typing import ArrayLike
 from jaxbound.recordings.clockintervals import every_text, next_interval
 from jaxbound.recordings.signals import SignalModel
 
-__all__ = [
-    "FEW",
-    "UNITS",
-    "Clock",
-    "Seam",
-    "all_starts",
-    "around",
-    "aside",
-    "check_period",
-    "crossing",
-    "irregular",
-    "period_of",
-    "rows_apart",
-    "seam_hints",
-    "tick",
-    "usual_period",
-    "varied_hints",
-    "varied_steps",
-]
-
 MANY = 100_000  # samples that show how far apart they are
 USUAL = 0.95  # share of steps that are no longer than a usual one
 GAPS = 10  # usual steps from which on others are gaps

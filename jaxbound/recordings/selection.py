@@ -21,22 +21,6 @@ from jaxbound.recordings.factors import by_name, factors_of, with_factors
 from jaxbound.recordings.signals import Named, SignalModel
 from jaxbound.text.names import listed
 
-__all__ = [
-    "NO_TIME",
-    "Moments",
-    "STAMPS",
-    "TELLING",
-    "Column",
-    "column_for",
-    "Wanted",
-    "columns_of_signals",
-    "counted_from_start",
-    "expressions_of",
-    "time_column",
-    "wanted",
-    "where_hints",
-]
-
 Moments = tuple[np.ndarray, np.ndarray | None]
 """Times of samples: (s since the first sample of the recording, datetime64 or None)."""
 STAMPS, DAYS = ("stamp", "day", "clock"), ("day", "digits")  # kinds of cells, see `stamp_kind`

@@ -5,8 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, cast
 
-__all__ = ["Named", "SignalModel", "Signals", "signals_of"]
-
 
 class Named(Protocol):
     """Names of signals, of a model or of whatever stands for one; the rest of a SignalModel may be absent."""

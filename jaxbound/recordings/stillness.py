@@ -21,18 +21,6 @@ import numpy as np
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.signals import Named
 
-__all__ = [
-    "Run",
-    "Runs",
-    "Stretch",
-    "follow_runs",
-    "joined_runs",
-    "signal_hints",
-    "still_hints",
-    "stretches",
-    "windows_inside",
-]
-
 FROZEN = 20  # samples, and times the usual length of a run
 SATURATED = 5  # samples, and times the usual length of a run
 AGAIN = 3  # so often

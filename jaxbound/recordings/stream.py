@@ -17,8 +17,6 @@ from jaxbound.recordings.seams import TOLERATED_STEP, Clock, Seam, tick
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.timestamps import time_label
 
-__all__ = ["Complain", "OtherSamples", "Stream", "Taken", "digests_of"]
-
 Complain = Callable[[str, str], None]
 """Called with (kind, sentence) on each sample that is left out, and each seam."""
 BYTES = 8  # of a digest: one of a thousand million samples is like another one in 10 thousand million of them

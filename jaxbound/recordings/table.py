@@ -19,8 +19,6 @@ from jaxbound.recordings.tabletime import one_level, tells_dates, unlabelled, wi
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["as_table", "is_table", "one_row", "paired"]
-
 Data = Any
 """A table or an array of whatever library, as a user holds it."""
 Rows = np.ndarray | tuple[()]

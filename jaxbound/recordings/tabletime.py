@@ -23,17 +23,6 @@ from jaxbound.recordings.timestamps import DIGITS, EPOCH, SECOND, in_ns, stamp_k
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "RowTime",
-    "instants_of",
-    "one_level",
-    "plain_labels",
-    "row_time",
-    "tells_dates",
-    "unlabelled",
-    "with_time",
-]
-
 T = TypeVar("T", bound=Sized)
 
 TO_DATETIME = "turn them into times with pandas.to_datetime first"
@@ -364,7 +353,9 @@ def _period_and_seams(
         _, seams = tick(Clock(dt or 1.0), time)
         return None, seams
     try:
-        period = usual_period(time) if dt is None else dt
+        period = dt
+        if period is None:
+            period = usual_period(time)
         check_period(time, period, whose)
         clock, seams = tick(Clock(period), time)
         sentence = irregular(clock, lambda k: str(index[k]), "row {}".format, time)

@@ -13,8 +13,6 @@ import numpy as np
 
 from jaxbound.recordings.columns import Arrow
 
-__all__ = ["GROUPED", "Doubt", "all_grouped", "in_doubt", "may_be_grouped"]
-
 GROUPED = re.compile(r"[-+]?[0-9]{1,3}([.,' \u00a0\u202f][0-9]{3})+([.,][0-9]+)?")
 """A number with signs for thousands, as spreadsheets show it."""
 CLOSER = 10  # times that one reading must be closer to the samples around it to be the one

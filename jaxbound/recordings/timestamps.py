@@ -18,26 +18,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-__all__ = [
-    "DIGITS",
-    "EPOCH",
-    "SECOND",
-    "from_epoch",
-    "in_ns",
-    "iso_stamps",
-    "instant_of",
-    "label_text",
-    "parse_stamps",
-    "row_label",
-    "scale_of",
-    "since_epoch",
-    "stamp_kind",
-    "time_label",
-    "time_like",
-    "uneven_steps",
-    "with_day",
-]
-
 DATES = (
     "%Y-%m-%d",
     "%Y/%m/%d",

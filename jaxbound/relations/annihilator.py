@@ -33,8 +33,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.probe import refuse_other_modes
 from jaxbound.text.progress import Progress, in_part, reporter
 
-__all__ = ["Step", "annihilator", "constraints", "generic_rank", "rank_over_box"]
-
 Relation: TypeAlias = dict[tuple[Exponents, int], Fraction]
 """{(exponents, column): coefficient}."""
 Kept: TypeAlias = tuple[int, Relation, Relation]

@@ -19,8 +19,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import Strips
 
-__all__ = ["Bounds", "changed_bounds", "checked_bound", "float_bound", "model_bounds", "reading"]
-
 Bounds: TypeAlias = dict[str, Array]
 """{"tolerance": (p,), "noise": (p,), ..}, see `model_bounds`."""
 

@@ -12,8 +12,6 @@ from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
 from jaxbound.text.quantities import rough_duration
 
-__all__ = ["BYTES", "affordable", "elimination_seconds", "refuse_many_states", "relation_cost"]
-
 BYTES = 2e9
 """What relations may take at most, beside `SECONDS`."""
 LONGEST = 10**12  # of a horizon in what is computed here: beyond, floats would overflow

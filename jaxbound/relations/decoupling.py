@@ -31,8 +31,6 @@ from jaxbound.relations.shift import Row
 from jaxbound.text.names import listed
 from jaxbound.text.objects import readable
 
-__all__ = ["Isolability", "Signatures", "isolability", "signatures", "structured_relations"]
-
 SUBSETS = 20_000
 BANK = 24
 """Relations up to which a bank keeps every relation of minimal support."""

@@ -12,8 +12,6 @@ from jaxbound.consistency.interface import Relations, Starts
 from jaxbound.recordings.read import recorded
 from jaxbound.sets.intervals.interval import Interval
 
-__all__ = ["Formed", "Forms", "forms", "over_samples"]
-
 Forms: TypeAlias = tuple[jax.Array, jax.Array, jax.Array]
 """(external, lowest, highest internal form), each (T, count)."""
 R = TypeVar("R")

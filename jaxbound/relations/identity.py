@@ -4,8 +4,6 @@ from jaxbound.consistency.interface import Relations
 from jaxbound.models.fingerprint import fingerprint
 from jaxbound.sets.floats.threads import has_x64
 
-__all__ = ["identity"]
-
 
 def identity(relations: Relations, **also: object) -> dict[str, str]:
     """Return {what: text} of all that the verdicts of relations depend on besides the recording, fit for

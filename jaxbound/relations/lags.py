@@ -13,8 +13,6 @@ from jaxbound.models import window
 from jaxbound.models.arguments import whole_lags
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["checked_lags", "lagged", "over_all_rows"]
-
 ZERO = Fraction(0)
 
 

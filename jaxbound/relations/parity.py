@@ -59,8 +59,6 @@ from jaxbound.sets.strips.strips import Strips, strips_of
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import in_part, reporter
 
-__all__ = ["ParityRelation", "parity_relations", "stated_relations"]
-
 ZERO = Fraction(0)
 T = TypeVar("T")
 SUBSETS, TESTED = 4_000, 400

@@ -20,17 +20,6 @@ from typing import TypeAlias
 
 from jaxbound.exact.linalg import Matrix
 
-__all__ = [
-    "Exponents",
-    "PolynomialMatrix",
-    "Terms",
-    "constant",
-    "entries_of",
-    "graded",
-    "monomials",
-    "stacked",
-]
-
 Exponents: TypeAlias = tuple[int, ...]
 Terms: TypeAlias = dict[Exponents, dict[tuple[int, int], Fraction]]
 

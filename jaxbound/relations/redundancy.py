@@ -39,8 +39,6 @@ from jaxbound.relations.sentence import few_lines
 from jaxbound.relations.shift import Row
 from jaxbound.text.objects import readable
 
-__all__ = ["Redundancy", "basis", "known_side", "redundancy"]
-
 METHODS = ("window", "elimination")
 ZERO = Fraction(0)
 _Reduced: TypeAlias = tuple[int, list[int], dict[int, int]]

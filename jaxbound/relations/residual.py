@@ -27,8 +27,6 @@ from jaxbound.recordings.table import as_table, is_table
 from jaxbound.sets.intervals.interval import Interval, interval, mid
 from jaxbound.text.objects import readable
 
-__all__ = ["Channels", "Residual", "residual"]
-
 
 @dataclass(frozen=True)
 class Channels:

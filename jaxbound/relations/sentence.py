@@ -9,20 +9,6 @@ from jaxbound.models.rows import Kind, Row
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows
 
-__all__ = [
-    "at_sample",
-    "bracketed",
-    "few_lines",
-    "joined",
-    "looked_at",
-    "main_terms",
-    "number_text",
-    "relation_text",
-    "row_name",
-    "sample_names",
-    "sum_text",
-]
-
 FEW = 8
 """Relations that are shown at a prompt."""
 

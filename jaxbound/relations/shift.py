@@ -14,17 +14,6 @@ from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.relations.sentence import bracketed, joined
 
-__all__ = [
-    "Polynomial",
-    "Row",
-    "at",
-    "coefficients",
-    "degree",
-    "presentable",
-    "relation_text",
-    "text",
-]
-
 Polynomial: TypeAlias = tuple[Fraction, ...]
 Row: TypeAlias = tuple[Polynomial, ...]
 

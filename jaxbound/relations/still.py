@@ -15,8 +15,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows
 from jaxbound.sets.floats import rounding
 
-__all__ = ["moving"]
-
 VANISHING = 2.0**-900
 """Bounds below which a disturbance counts as 0; what it does to the outputs is added to their noise."""
 

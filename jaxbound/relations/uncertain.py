@@ -46,8 +46,6 @@ from jaxbound.sets.strips.polynomials import closure
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress
 
-__all__ = ["UncertainRelations", "uncertain_relations"]
-
 Polynomial: TypeAlias = list[tuple[Exponents, Fraction]]
 """[(exponents, coefficient)], the constant first."""
 

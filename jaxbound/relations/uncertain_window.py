@@ -19,8 +19,6 @@ from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.polynomial import PolynomialMatrix, constant, entries_of, stacked
 
-__all__ = ["Variable", "uncertain_window"]
-
 Variable: TypeAlias = tuple[str, int | None]
 """(name of the parameter, lag; None if it keeps one value)."""
 

@@ -11,8 +11,6 @@ from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.causes import Judged, diagnose
 from jaxbound.models.system import LinearSystem
 
-__all__ = ["Cause", "causes_of"]
-
 PATIENCE = 3.0
 """Seconds for the causes of a page; what is left over then is left to `explain`."""
 LEAST = 0.02

@@ -19,18 +19,6 @@ from jaxbound.text.characters import printable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Charts",
-    "ChartPiece",
-    "ChartRow",
-    "band_key",
-    "coded",
-    "picture_of",
-    "piece_of",
-    "plain",
-    "usual_step",
-]
-
 VALUES = 80_000  # numbers of the whole recording in a page
 DPI = 80  # of the picture for readers without scripts
 

@@ -27,8 +27,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.characters import clipped, printable
 
-__all__ = ["Shown", "charts"]
-
 SIGNALS, STATES = 12, 6  # charts of signals, and of states that an observer encloses
 RELATIONS = 6  # charts of relations that no certificate combines
 NEAR = 60  # stretches around alarms

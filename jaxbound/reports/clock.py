@@ -15,8 +15,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.timestamps import EPOCH, SECOND
 from jaxbound.text.characters import printable
 
-__all__ = ["AxisClock", "axis_of", "clock_of", "shown_time"]
-
 ORDERS = ("Ymd", "dmY", "mdY", "")
 ISO = ("Y4", "-", "m2", "-", "d2", " ", "H2", ":", "M2", ":", "S2")
 TRIED = 9  # labels that a pattern is checked with

@@ -35,8 +35,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.text.names import one_of
 from jaxbound.text.quantities import duration, factor, three_digits
 
-__all__ = ["write_report"]
-
 ROWS = 200  # alarms in the table
 SUSPECT = 5  # the cell of a row that has its suspects
 LINES = 20  # relations in words

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from jaxbound.reports.page import render
 from jaxbound.runs.fleet import UnitResult
 
-__all__ = ["fleet_page"]
-
 
 def fleet_page(ordered: Sequence[UnitResult], verdict: tuple[str, int, str], title: str) -> str:
     """Return the HTML text.

@@ -13,8 +13,6 @@ from jaxbound.runs.counts import STRETCHES, CountsByTest, OfTest, Unwatched
 from jaxbound.runs.digest import Digest
 from jaxbound.text.quantities import percent, three_digits
 
-__all__ = ["ORDER", "monitor_sections"]
-
 ORDER = ("FAULT", "CONSISTENT", "UNDECIDED", "MISSING")
 Label = Callable[[int], str]
 """The function that writes the time of a sample, from its number."""

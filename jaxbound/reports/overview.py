@@ -14,8 +14,6 @@ from jaxbound.plots.timeline import Timeline
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.characters import printable
 
-__all__ = ["overview"]
-
 WIDTH, HEIGHT = 880, 330
 LEFT, RIGHT, TOP, BOTTOM = 50, 870, 30, 270
 RIBBON = 282, 300

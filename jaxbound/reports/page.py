@@ -12,8 +12,6 @@ from jaxbound.text.quantities import factor, percent
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = ["TITLE", "render"]
-
 HOME = Path(__file__).parent
 TITLE = {
     "fault": "Fault proved",

@@ -14,8 +14,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.text.quantities import percent
 
-__all__ = ["computed", "distinct_relations", "model_values"]
-
 DIGITS = 12  # of an exact number, beyond which it is rounded
 
 

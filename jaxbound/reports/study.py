@@ -15,8 +15,6 @@ from jaxbound.reports.parts import computed, model_values
 from jaxbound.studies.montecarlo.study_result import StudyResult, study_table
 from jaxbound.text.quantities import percent, plain
 
-__all__ = ["COLUMNS", "sentence", "study_head", "study_page", "study_rows"]
-
 HEAD = (
     "fault",
     "size",

@@ -20,8 +20,6 @@ from jaxbound.runs.verdictfiles import Columns, columns_of
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 
-__all__ = ["Validated"]
-
 
 @dataclass(frozen=True, eq=False)
 class Validated:

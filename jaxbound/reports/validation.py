@@ -21,8 +21,6 @@ from jaxbound.runs.summary import Summary
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.quantities import duration
 
-__all__ = ["charts", "write_page"]
-
 ROWS = 200  # stretches in the table
 OUTPUTS = 12  # charts
 NEAR = 600  # samples around the first faulty one of a long recording, drawn one by one

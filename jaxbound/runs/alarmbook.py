@@ -29,8 +29,6 @@ from jaxbound.runs.sink import Verdicts
 from jaxbound.runs.verdictfiles import AlarmColumns, Columns
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["ALARMS", "AlarmBook", "LiveAlarms", "Notice"]
-
 DEEPEST = 200  # alarms kept in memory
 ALARMS = "alarms.csv"
 LATELY = 100  # samples whose times are kept before those that no alarm needs are forgotten

@@ -16,8 +16,6 @@ from jaxbound.models.times import refuse_factors
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.parity import parity_relations
 
-__all__ = ["Ask"]
-
 
 @dataclass(frozen=True)
 class Ask:

@@ -7,8 +7,6 @@ import jax
 
 from jaxbound.files.folders import cache_folder
 
-__all__ = ["use_cache"]
-
 
 def use_cache(folder: str | Path | None = None) -> Path:
     """Keep compiled kernels in a folder, so that the next process need not compile them again.

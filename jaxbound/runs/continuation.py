@@ -33,8 +33,6 @@ from jaxbound.relations.identity import identity
 from jaxbound.runs.ask import Ask
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Continuation", "Joined", "followed", "joined_carries"]
-
 Arrays = Mapping[str, np.ndarray]
 CONTENT, CARRY, WRITTEN, UNIT = "content", "carry", "written", "unit"
 REST = "rest"  # before the names of samples that are in no mean yet

@@ -10,8 +10,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.source import Source
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["NOBODY", "REACHES", "Refuted", "Spoken", "refuted_again"]
-
 REACHES = (2**6, 2**12, 2**16)
 """So many samples before a sample that an observer refuted are read to see it refuted again, before all of
 them are.

@@ -20,8 +20,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.text.objects import readable
 from jaxbound.text.quantities import finite
 
-__all__ = ["STRETCHES", "CountsByTest", "Event", "Evidence", "OfTest", "Tally", "Unwatched"]
-
 When = str | float
 FAULT = int(Status.FAULT)
 EVENTS = "first", "worst", "tightest"

@@ -60,8 +60,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Digest", "detect_dataset", "digest"]
-
 
 @readable
 @dataclass(frozen=True, eq=False)

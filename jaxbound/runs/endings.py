@@ -19,8 +19,6 @@ from jaxbound.runs.summary import Summary, evidence, summarised
 from jaxbound.text.names import listed
 from jaxbound.text.quantities import three_digits
 
-__all__ = ["concluded", "ending_hints", "endings_said", "sizes_seen", "sizes_text"]
-
 WORDS = {
     ONSET_LEFT: "may have ended because the onset left the window: repaired or lasting",
     BEGAN_ANEW: "ended because the observer began anew: the fault may last, taken for the state or hidden",

@@ -47,8 +47,6 @@ from jaxbound.workers.engine import in_order, stretches_for
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["FleetTest", "Unit", "UnitResult", "detect_fleet", "fleet_verdict", "read_manifest", "worst_first"]
-
 COLUMNS = ("unit", "model", "recording")
 ACKNOWLEDGED = "acknowledged"
 """A column that may be there: of alarms that latch."""

@@ -19,8 +19,6 @@ from jaxbound.runs.loop import Memory, Remembering
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.sink import Sink
 
-__all__ = ["STATE", "Journal", "LiveCheckpoint", "refuse_former_state"]
-
 STATE, FORMER = "monitor.sqlite", "monitor.jsonl"  # in the folder of a run; the latter of an earlier jaxbound
 OURS = 0x6A786264  # "jxbd", the mark of our files among those of SQLite
 SYNCHRONOUS = "FULL"

@@ -21,8 +21,6 @@ from jaxbound.runs.loop import Laps, Memory
 from jaxbound.runs.sink import Verdicts
 from jaxbound.sets.floats.kernel import sparing
 
-__all__ = ["Carried", "Live", "Numbered", "Windows", "as_judged"]
-
 Numbered = tuple[int, Recording]
 """A piece of a recording: the number of its first sample, and its samples."""
 Piece = TypeVar("Piece")

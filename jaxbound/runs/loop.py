@@ -14,8 +14,6 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol, TypeVar
 
-__all__ = ["Journaled", "Judge", "Laps", "Memory", "Quiet", "Remembering", "Taker", "follow"]
-
 Piece = TypeVar("Piece")
 PieceIn = TypeVar("PieceIn", contravariant=True)
 Samples = TypeVar("Samples")

@@ -23,8 +23,6 @@ from jaxbound.files.whole import UNFINISHED, put
 from jaxbound.recordings.parquetfiles import SUFFIXES
 from jaxbound.runs.refusals import Refused
 
-__all__ = ["OutputFolder", "made", "output_folder", "refuse_among_inputs", "refuse_targets", "shared_folder"]
-
 LIST, WORK, LOCK = ".jaxbound.json", ".jaxbound-work", ".jaxbound-lock"
 FULL = (errno.ENOSPC, errno.EDQUOT)
 DIGESTED = 1 << 26  # bytes of the largest file that is known again by its content

@@ -18,18 +18,6 @@ from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stillness import Run, Runs, follow_runs, joined_runs
 from jaxbound.runs.counts import CountsByTest
 
-__all__ = [
-    "DEVICE",
-    "EXTREMES",
-    "RUNS",
-    "TESTS",
-    "Noted",
-    "read_devices",
-    "read_by_test",
-    "read_extremes",
-    "read_runs",
-]
-
 RUNS, EXTREMES, DEVICE, TESTS = b"runs", b"extremes", b"device", b"tests"
 
 

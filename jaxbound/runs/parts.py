@@ -35,19 +35,6 @@ from jaxbound.sets.floats.status import Status
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = [
-    "Parts",
-    "carry_behind",
-    "forget_parts",
-    "missing_parts",
-    "part_files",
-    "part_name",
-    "part_number",
-    "refuse_foreign",
-    "refuse_other_part",
-    "verdicts_of",
-]
-
 IDENTITY, CARRY = b"identity", b"carry"  # in the metadata of a part
 OURS = re.compile(rf"part-\d{{5,}}\.parquet|\.part-\d{{5,}}\.parquet{UNFINISHED}")
 

@@ -1,7 +1,5 @@
 """Exceptions that end a run before it is done: the user gave something unusable, or stopped it."""
 
-__all__ = ["Interrupted", "Refused", "Stopped"]
-
 
 class Refused(ValueError):
     """The refusal of what a user gave; the message says why."""

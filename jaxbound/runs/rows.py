@@ -16,8 +16,6 @@ from jaxbound.runs.sink import Verdicts
 from jaxbound.runs.verdictfiles import columns_of
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["VERDICTS", "RowFile", "RowText", "number_text"]
-
 VERDICTS = "verdicts.csv"
 PLAIN = "time", "status", "margin"
 REGION = "outside", "outside_by", "outside_at"  # of models that state ranges, before suspect

@@ -11,8 +11,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.read import kind_of
 from jaxbound.runs.sink import Outcome, Sink
 
-__all__ = ["VALIDATION", "RunRecord", "is_outgrown", "load_run"]
-
 VALIDATION = "validation"  # not a method of `detect`: the shell name of `validate`
 
 RUN, MODEL = "run.json", "tested_model.toml"

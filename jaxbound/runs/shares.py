@@ -6,8 +6,6 @@ import numpy as np
 
 from jaxbound.models.numbers import is_whole
 
-__all__ = ["check_share", "stretches_listed", "numbers_of"]
-
 NAMED = 4  # stretches in a sentence
 
 

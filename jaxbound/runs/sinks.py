@@ -7,8 +7,6 @@ from jaxbound.runs.runfile import RunRecord
 from jaxbound.runs.sink import REGISTERED, Outcome, Sink
 from jaxbound.runs.verdictfiles import AlarmTable, VerdictTable
 
-__all__ = ["BUILT_IN", "close_all", "file_names", "kinds", "open_sinks"]
-
 BUILT_IN: tuple[type[Sink], ...] = (VerdictTable, AlarmTable, RunRecord)
 
 

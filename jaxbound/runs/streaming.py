@@ -48,8 +48,6 @@ from jaxbound.workers.engine import spread, stretches_for
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["CHUNK", "Asked", "all_parts", "kept", "part_count", "publish", "samples_of", "write_parts"]
-
 CHUNK = 1_000_000  # samples in memory at once
 LEAST = 2**16  # and at least so many: a call of the kernel takes them anyway
 PART = 1_000_000  # samples in a file of verdicts

@@ -19,18 +19,6 @@ from jaxbound.runs.contradiction import Spoken
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.sets.floats.status import Status
 
-__all__ = [
-    "AlarmColumns",
-    "AlarmTable",
-    "Columns",
-    "VerdictTable",
-    "columns_of",
-    "outside_columns",
-    "spoken_of",
-    "write_alarms",
-    "write_verdicts",
-]
-
 Columns = dict[str, Arrow]
 """{name: column}, as they are written."""
 

@@ -2,8 +2,6 @@
 end.
 """
 
-__all__ = ["cell", "clipped", "printable"]
-
 FORMULAS = ("=", "+", "-", "@")
 """A cell that begins so is computed, not shown, by a spreadsheet."""
 LONGEST = 2000

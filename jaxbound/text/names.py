@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Iterable, Sequence
 
-__all__ = ["listed", "one_of", "quoted"]
-
 FEW, LONG = 12, 80
 
 

@@ -12,8 +12,6 @@ import numpy as np
 
 from jaxbound.text.characters import printable
 
-__all__ = ["readable"]
-
 Class = TypeVar("Class", bound=type)
 Rows = list[tuple[str, str]]
 

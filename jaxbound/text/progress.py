@@ -11,8 +11,6 @@ from typing import TypeAlias
 
 from jaxbound.text.quantities import duration, rough_duration
 
-__all__ = ["LOG", "PATIENCE", "Progress", "in_part", "reporter"]
-
 Progress: TypeAlias = Callable[[float], object]
 """Called with the share of the work done, 0 to 1."""
 LOG = logging.getLogger("jaxbound")

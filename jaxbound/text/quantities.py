@@ -3,19 +3,6 @@
 import math
 from collections.abc import Mapping
 
-__all__ = [
-    "decimal",
-    "duration",
-    "factor",
-    "finite",
-    "most_percent",
-    "percent",
-    "plain",
-    "rough_duration",
-    "three_digits",
-    "times",
-]
-
 UNITS = (("d", 86400, 172800), ("h", 3600, 7200), ("min", 60, 120))
 """A unit of time, its seconds, and the seconds from which on it is used."""
 YEAR = 3.2e7

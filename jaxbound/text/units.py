@@ -2,8 +2,6 @@
 
 import re
 
-__all__ = ["TIME_UNITS", "UNITS_OF_TIME", "same_unit", "time_unit", "without_unit"]
-
 BRACKETS = re.compile(r"\s*(\S.*?)\s*\[\s*([^\[\]]+?)\s*\]\s*")
 PARENTHESES = re.compile(r"\s*(\S.*?)\s*\(\s*([^()]+?)\s*\)\s*")
 # In parentheses other words stand too, "T (upper)": there a unit is one of these, or made of them by / and *.

@@ -7,8 +7,6 @@ from functools import cache
 from pathlib import Path
 from types import FrameType
 
-__all__ = ["warn", "warn_once"]
-
 PACKAGE = f"{Path(__file__).parents[1]}{os.sep}"
 
 

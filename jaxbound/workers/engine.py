@@ -32,8 +32,6 @@ from jaxbound.sets.floats.threads import has_x64
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster, Worker
 
-__all__ = ["Job", "connected", "in_order", "processor", "spread", "stretches_for"]
-
 # settings of workers that we start ourselves
 WORKERS = {
     "distributed.worker.multiprocessing-method": "spawn",

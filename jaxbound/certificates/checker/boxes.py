@@ -14,8 +14,6 @@ from jaxbound.certificates.checker.polynomial import Polynomial, Value, combine,
 from jaxbound.certificates.checker.trajectories import Error, limits, multipliers
 from jaxbound.certificates.checker.words import Document, Ends, insist
 
-__all__ = ["Box", "Parts", "box_of", "contradict", "range_of", "relation_range", "relations_of"]
-
 LEAF = {"direction", "vertices", "low", "high"}
 CUT = {"variable", "at", "below", "above"}
 

@@ -15,20 +15,6 @@ from typing import Any, cast
 
 from jaxbound.certificates.checker.words import Document, insist
 
-__all__ = [
-    "BOUNDS",
-    "DOUBLE",
-    "PRECISIONS",
-    "SINGLE",
-    "STATED",
-    "checksum",
-    "claimed",
-    "compare",
-    "numbers",
-    "rounded_up",
-    "statement",
-]
-
 DOUBLE, SINGLE = "float64", "float32"
 PRECISIONS = {DOUBLE: (F(1, 2**53), F(1, 2**1022)), SINGLE: (F(1, 2**24), F(1, 2**126))}
 """Unit roundoff and smallest normal number of each float type."""

@@ -21,8 +21,6 @@ from jaxbound.certificates.checker.claim import DOUBLE
 from jaxbound.certificates.checker.polynomial import add_multiple, scale
 from jaxbound.certificates.checker.words import Document, Ends, Matrix, Samples, Vector, insist
 
-__all__ = ["Condition", "Model", "read_model", "read_samples"]
-
 MORE = "is more than this script reads; jaxbound verify reads it"
 LATE = F(1, 2)
 """Share of a sampling period by which a step of time may differ from it, else it is a gap."""

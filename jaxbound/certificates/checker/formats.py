@@ -13,8 +13,6 @@ from jaxbound.certificates.checker.polynomial import Monomial, Polynomial, Value
 from jaxbound.certificates.checker.trajectories import behaviour, limits, moved, multipliers, named, sums_of
 from jaxbound.certificates.checker.words import Document
 
-__all__ = ["smt2", "vipr"]
-
 PROOF = ("witness", "relation", "errors", "relations", "proof", "parameters", "sum")
 NONLINEAR = (
     "VIPR proves linear inequalities only, and here uncertain parameters multiply unknown states: "

@@ -6,8 +6,6 @@ from itertools import chain
 from math import lcm, prod
 from typing import Any, TypeAlias
 
-__all__ = ["Monomial", "Polynomial", "Value", "add_multiple", "combine", "dot", "scale", "variables"]
-
 Monomial: TypeAlias = tuple[str, ...]
 """("a", "a", "b") is a^2 b."""
 

@@ -26,8 +26,6 @@ from jaxbound.certificates.checker.claim import checksum, compare, numbers, stat
 from jaxbound.certificates.checker.trajectories import Error, behaviour, limits, runs_of
 from jaxbound.certificates.checker.words import Document, insist
 
-__all__ = ["confirm"]
-
 ROUNDED = F(101, 100)
 """The error of a sensor that is shown to be enough is at most so many times the smallest."""
 WITNESS = {"state", "disturbances", "unknown_inputs", "inputs", "outputs"}

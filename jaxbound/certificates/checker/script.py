@@ -14,8 +14,6 @@ from jaxbound.certificates.checker.proof import confirm
 from jaxbound.certificates.checker.sets import decide
 from jaxbound.certificates.checker.words import Document, Matrix, Samples, insist
 
-__all__ = ["against", "load", "main"]
-
 REFUSED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 CONFIRMED, NOT_CONFIRMED, BAD_USAGE = 0, 1, 2
 

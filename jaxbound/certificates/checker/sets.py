@@ -14,8 +14,6 @@ from jaxbound.certificates.checker.claim import checksum, numbers
 from jaxbound.certificates.checker.polynomial import add_multiple, combine, scale
 from jaxbound.certificates.checker.words import Document, Matrix, insist
 
-__all__ = ["decide"]
-
 STATEMENTS = {
     "contains": (
         "l times the equations of a point in the set cannot hold: the point is outside",

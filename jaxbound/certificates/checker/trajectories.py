@@ -14,8 +14,6 @@ from typing import Any, TypeAlias
 from jaxbound.certificates.checker.polynomial import Value, add_multiple, combine, dot, scale
 from jaxbound.certificates.checker.words import Document, Ends, insist
 
-__all__ = ["Error", "behaviour", "limits", "moved", "multipliers", "named", "readings_of", "runs_of"]
-
 ROUNDED = 10
 """Smallest normal numbers by which an average is widened for each of its samples."""
 

@@ -15,8 +15,6 @@ where a sample is missing. A *claim* is what a certificate is about, no part of 
 from fractions import Fraction
 from typing import Any, TypeAlias
 
-__all__ = ["Document", "Ends", "Matrix", "Samples", "Vector", "insist"]
-
 Document: TypeAlias = dict[str, Any]
 Vector: TypeAlias = list[Fraction]
 Matrix: TypeAlias = list[Vector]

@@ -7,8 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var
 
-__all__ = ["bind", "body", "by_key", "dtype_of", "inexact", "inside"]
-
 CALLS = {
     "jit",
     "pjit",

@@ -22,19 +22,6 @@ from jaxbound.files.whole import whole
 from jaxbound.sets.floats import rounding, unrolled
 from jaxbound.sets.floats.kinds import kind_of_device, most_of_a_quotient, plainly_on
 
-__all__ = [
-    "EXAMINED",
-    "FEW",
-    "MANY",
-    "SWITCHES",
-    "VERSIONS",
-    "broken",
-    "examine",
-    "is_admitted",
-    "loose_flags",
-    "measure",
-]
-
 EXAMINED = frozenset({"cpu"})
 """Kinds of devices, as `kind_of_device` names them without the driver, on which the tests of `sets/floats`
 were run."""

@@ -28,22 +28,6 @@ from jaxbound.sets.floats.equations import body, dtype_of
 from jaxbound.sets.floats.numpy_moves import MOVED, SMALL
 from jaxbound.sets.floats.numpy_primitives import COMPUTED
 
-__all__ = [
-    "UNCOUNTED",
-    "WIDE",
-    "Kernel",
-    "compile",
-    "evaluated",
-    "first_in_numpy",
-    "is_outside_xla",
-    "is_sparing",
-    "kernel",
-    "outside_xla",
-    "spared",
-    "sparing",
-    "tried_in_numpy",
-]
-
 T = TypeVar("T")
 _state = threading.local()
 AUTO, ALWAYS, NEVER = "auto", "always", "never"

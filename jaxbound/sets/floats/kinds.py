@@ -9,16 +9,6 @@ import jax
 import numpy as np
 from jax.typing import DTypeLike
 
-__all__ = [
-    "extra_units",
-    "has_coarse_quotients",
-    "is_cpu_default",
-    "kind_of_device",
-    "most_of_a_quotient",
-    "named",
-    "plainly_on",
-]
-
 FINE, COARSE = 2.84, 4.84
 """Units that a quotient may be off by: anywhere, and in float32 on a card of NVIDIA (4, PTX ISA)."""
 EXTRA = 2.0

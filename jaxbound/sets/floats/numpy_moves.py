@@ -9,8 +9,6 @@ import numpy as np
 
 from jaxbound.sets.floats.numpy_primitives import Entries, Function, entering, identity
 
-__all__ = ["MOVED", "SMALL"]
-
 SMALL = 2**12
 """Numbers up to which an array may be copied, or kept longer than it is needed."""
 

@@ -13,9 +13,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["COMPUTED", "Entries", "Function", "entering", "identity"]
-
-
 Function = Callable[..., Any]
 Entries = dict[str, Callable[[dict], Function]]
 """{name of a primitive: of the parameters of an equation, the function of arrays that it stands for}."""

@@ -42,39 +42,6 @@ from jax.typing import ArrayLike, DTypeLike
 from jaxbound.exact.linalg import Whole
 from jaxbound.sets.floats.kinds import extra_units
 
-__all__ = [
-    "above",
-    "dd_add",
-    "dd_mul",
-    "folded_error",
-    "fraction_to_float",
-    "mantissa_exponent",
-    "nearest_normals",
-    "one_dtype",
-    "order",
-    "outward",
-    "outward_sum",
-    "product_error",
-    "power_of_two",
-    "quotient",
-    "readable",
-    "residual_error",
-    "root",
-    "round_down",
-    "round_up",
-    "scale",
-    "search_error",
-    "settle_subnormals",
-    "settled_on_host",
-    "tiny",
-    "two_prod",
-    "two_sum",
-    "unbounded",
-    "unit",
-    "widened",
-]
-
-
 Pair: TypeAlias = tuple[jax.Array, jax.Array]
 """A number in two floats, the second what the first leaves."""
 

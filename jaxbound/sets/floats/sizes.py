@@ -1,7 +1,5 @@
 """Sizes of arrays that kernels are compiled for: few of them, so that few are compiled."""
 
-__all__ = ["power"]
-
 
 def power(count: int, base: int = 2) -> int:
     """Return the smallest power of `base` that is not below count.

@@ -9,8 +9,6 @@ import numpy as np
 from jaxbound.sets.floats.kernel import is_outside_xla, is_sparing, outside_xla, sparing
 from jaxbound.sets.floats.probe import is_searching, searching
 
-__all__ = ["has_x64", "inherited"]
-
 P = ParamSpec("P")
 T = TypeVar("T")
 

@@ -14,8 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.xla_metadata import set_xla_metadata
 
-__all__ = ["FEW", "apart", "foremost", "highest", "largest", "most", "product", "stored", "summed", "total"]
-
 FEW = 8
 """Rows up to which a sum is written out; more are added in a loop, four at a time: it compiles to no more
 with their number.

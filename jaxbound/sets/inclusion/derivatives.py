@@ -13,8 +13,6 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 
 from jaxbound.sets.floats.equations import bind, body, dtype_of
 
-__all__ = ["plain"]
-
 
 def plain(jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Any]) -> list[Any]:
     """Evaluate a jaxpr on numbers like JAX does, with the primitives replaced whose derivative would not

@@ -26,8 +26,6 @@ from typing import NamedTuple, TypeAlias, TypeVar, cast
 import jax
 import numpy as np
 
-__all__ = ["KEPT", "forgets", "frozen"]
-
 KEPT = 128
 """Functions that are found again, and whose programs are kept."""
 LARGEST = 2**16

@@ -29,8 +29,6 @@ from jaxbound.sets.inclusion.lifted import enclose, settled
 from jaxbound.sets.intervals.interval import Interval, add, intersection, interval, matmul, mid, sub
 from jaxbound.text.objects import readable
 
-__all__ = ["Inclusion", "inclusion"]
-
 Tree = TypeVar("Tree")
 
 METHODS = ("natural", "mean_value", "best")

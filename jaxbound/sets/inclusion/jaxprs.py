@@ -23,9 +23,6 @@ from jaxbound.sets.inclusion.primitives import DEFINED, MOVED, RISING, RULES, ST
 from jaxbound.sets.inclusion.undefined import OBSERVED, either, observes, possible
 from jaxbound.sets.intervals.interval import Interval, computed
 
-__all__ = ["Value", "evaluate", "refuse_unsupported"]
-
-
 POINTWISE = {
     "abs",
     "neg",

@@ -33,34 +33,6 @@ from jaxbound.sets.intervals.interval import (
 )
 from jaxbound.sets.intervals.interval import sum as total
 
-__all__ = [
-    "added",
-    "angle",
-    "contracted",
-    "converted",
-    "cube_root",
-    "divided",
-    "enclose",
-    "expm1",
-    "integral",
-    "log1p",
-    "logistic",
-    "meets_zero",
-    "multiplied",
-    "of",
-    "poles",
-    "power",
-    "product",
-    "remainder",
-    "scanned",
-    "scattered",
-    "selected",
-    "settled",
-    "subtracted",
-    "summed",
-]
-
-
 Known: TypeAlias = Sequence[bool]
 Numbers: TypeAlias = Sequence[float | None]
 

@@ -14,19 +14,6 @@ import numpy as np
 
 from jaxbound.sets.intervals.interval import Interval
 
-__all__ = [
-    "Rule",
-    "comparison",
-    "equals",
-    "extreme",
-    "integers",
-    "least",
-    "most",
-    "negated",
-    "predicates",
-    "whole",
-]
-
 Rule: TypeAlias = Callable[..., Interval | jax.Array]
 """What a primitive becomes: a function of Intervals, given the parameters of the primitive by name."""
 

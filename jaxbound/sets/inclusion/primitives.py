@@ -23,9 +23,6 @@ from jaxbound.sets.intervals import elementary
 from jaxbound.sets.intervals.interval import Interval, div, mul, neg, pown, recip, sqr
 from jaxbound.sets.intervals.interval import abs as absolute
 
-__all__ = ["DEFINED", "MOVED", "RISING", "RULES", "STEADY", "WHOLE"]
-
-
 MOVED: dict[str, tuple[int, ...] | None] = {  # the operands that are moved; all others are indices
     "broadcast_in_dim": (0,),
     "reshape": (0,),

@@ -23,9 +23,6 @@ from jaxbound.sets.inclusion.predicates import least, most, whole
 from jaxbound.sets.inclusion.primitives import DEFINED
 from jaxbound.sets.intervals.interval import Interval, hull, mag
 
-__all__ = ["OBSERVED", "either", "observes", "possible"]
-
-
 Mark: TypeAlias = jax.Array | None
 """() bool."""
 

@@ -20,8 +20,6 @@ import numpy as np
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.approximations import ODD, parts, series, two_parts, with_derivative
 
-__all__ = ["LARGEST_ANGLE", "PI", "acos", "asin", "atan", "atan2", "sin_cos_quadrant", "tan"]
-
 LARGEST_ANGLE = {8: 2.0**20, 4: 2.0**11}  # by itemsize: multiples of the parts of pi/2 are exact up to here
 PI = Fraction("3.14159265358979323846264338327950288419716939937510582097494459230781640628620899")
 ATAN_1_4 = Fraction("0.24497866312686415417208248121127581091414409838118406712737591466735")

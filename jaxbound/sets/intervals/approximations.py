@@ -36,27 +36,6 @@ from jax.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 
-__all__ = [
-    "UNITS",
-    "acosh",
-    "asinh",
-    "atanh",
-    "cosh",
-    "exp",
-    "exp10",
-    "exp2",
-    "log",
-    "log10",
-    "log2",
-    "power",
-    "parts",
-    "series",
-    "sinh",
-    "tanh",
-    "two_parts",
-    "with_derivative",
-]
-
 Function: TypeAlias = Callable[[jax.Array], jax.Array]
 
 UNITS = {

@@ -12,9 +12,6 @@ from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 
-__all__ = ["Arrays", "bound", "check", "settled"]
-
-
 Number: TypeAlias = ArrayLike | Fraction
 """What a bound is read from."""
 

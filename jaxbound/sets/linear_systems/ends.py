@@ -12,8 +12,6 @@ import numpy as np
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.interval import Interval
 
-__all__ = ["added", "ends", "interval_of", "negative", "none", "product", "subtracted", "total", "upward"]
-
 
 def ends(x: Interval, axis: int = 0) -> np.ndarray:
     """Return the ends of an Interval, beside each other on an axis, on the host."""

@@ -26,8 +26,6 @@ from jaxbound.sets.linear_systems.ends import upward
 from jaxbound.sets.linear_systems.kernels import comparison_inverse, hansen_bliek_rohn
 from jaxbound.sets.linear_systems.products import over, preconditioner, reciprocal, times
 
-__all__ = ["Prepared", "prepare", "solutions"]
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)

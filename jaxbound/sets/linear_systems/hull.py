@@ -22,8 +22,6 @@ from jaxbound.sets.floats.unrolled import largest, stored, total
 from jaxbound.sets.intervals.interval import Interval, intersection
 from jaxbound.sets.linear_systems.products import product
 
-__all__ = ["orthant_hull", "tighten"]
-
 _held = jax.lax.optimization_barrier
 
 

@@ -35,14 +35,6 @@ from jaxbound.sets.linear_systems.products import (
     where,
 )
 
-__all__ = [
-    "comparison_inverse",
-    "contract",
-    "enclose",
-    "factor",
-    "hansen_bliek_rohn",
-]
-
 SWEEPS = 100  # at most: they stop where one gains less than 1e-4 of the width
 
 

@@ -15,21 +15,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import apart, largest, total
 from jaxbound.sets.intervals.interval import Interval, mag, mig
 
-__all__ = [
-    "at",
-    "extremes",
-    "inverse",
-    "minus",
-    "over",
-    "preconditioner",
-    "product",
-    "reciprocal",
-    "solved_for",
-    "times",
-    "where",
-]
-
-
 Tree = TypeVar("Tree")
 
 

@@ -19,8 +19,6 @@ from jaxbound.sets.linear_systems.kernels import Factored, contract, enclose, fa
 from jaxbound.sets.linear_systems.products import preconditioner, times
 from jaxbound.text.objects import readable
 
-__all__ = ["Solution", "Solvability", "solve_interval"]
-
 METHODS = ("gauss", "gauss_seidel", "krawczyk", "hbr", "intersection", "hull")
 PRECONDITIONS = ("midpoint", "diagonal", "none")
 BLOCK = 64  # systems: a 9 x 9 one takes 1.3 KB, several times, and has to stay in the fastest caches

@@ -29,8 +29,6 @@ from jaxbound.sets.intervals.comparisons import subset
 from jaxbound.sets.intervals.interval import Interval, hull, mag, mid, rad, wid
 from jaxbound.sets.paving.frontier import Verdicts
 
-__all__ = ["components", "continuous", "is_interval_function", "search"]
-
 
 def components(f: Callable[..., Any], z: Interval, args: tuple[jax.Array, ...]) -> list[Interval]:
     """Return the image of a box z as a list of Intervals (); f is a function of numbers or of Intervals."""

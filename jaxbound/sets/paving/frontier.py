@@ -13,8 +13,6 @@ import numpy as np
 
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["BLOCK", "Boxes", "Cover", "Kernel", "Verdicts", "explore", "in_blocks"]
-
 BLOCK = 2**10  # the only size that is compiled
 MOST = 10**8  # boxes of all targets together: what memory holds
 

@@ -32,8 +32,6 @@ from jaxbound.sets.paving.frontier import BLOCK, Boxes, Cover, Kernel, Verdicts,
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import reporter
 
-__all__ = ["Paving", "pave"]
-
 CUTS = ("alternate", "widest", "smear")
 SOLUTIONS = ("none", "one", "all")
 EXCLUDED = 2**12

@@ -14,8 +14,6 @@ from jax.typing import DTypeLike
 
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["PACKED", "Tested", "bank_verdicts", "unpacked", "verdict_dtypes"]
-
 PACKED = 16
 """Statuses in a word of 32 bits."""
 Tested: TypeAlias = Iterable[tuple[jax.Array, jax.Array, jax.Array]]

@@ -12,8 +12,6 @@ import numpy as np
 
 from jaxbound.sets.floats import rounding
 
-__all__ = ["Fit", "fitted"]
-
 CLOSE = float(10 * rounding.unit(np.float64) ** 0.75)
 """How much the largest error may exceed t where a search is done."""
 WORTH = CLOSE**0.5

@@ -14,8 +14,6 @@ from jax.typing import DTypeLike
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import foremost, highest, summed
 
-__all__ = ["WRITTEN_OUT", "Reference", "closeness", "long_step", "picked", "reference", "scaled"]
-
 WRITTEN_OUT = 24
 """Rows up to which what every exchange adds up, and what blocks of few windows do, is written out: loops take
 a sixth longer there, and as long to compile."""

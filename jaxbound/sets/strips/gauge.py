@@ -28,8 +28,6 @@ import jax.numpy as jnp
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import summed
 
-__all__ = ["gauge_search"]
-
 
 @partial(jax.jit, static_argnames="steps")
 def gauge_search(

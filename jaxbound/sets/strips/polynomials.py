@@ -21,9 +21,6 @@ import numpy as np
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import total
 
-__all__ = ["bends", "closure", "image", "multiaffine", "row_error", "slopes", "vertex_gauge", "vertex_margin"]
-
-
 Exponents: TypeAlias = Sequence[tuple[int, ...]]
 
 

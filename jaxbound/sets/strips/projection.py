@@ -44,8 +44,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import product, stored, summed
 from jaxbound.sets.strips.weighted import TERMS, factored, solved
 
-__all__ = ["Projection", "Rows", "clipped_margin", "projection_of"]
-
 SHARE = 0.85
 """Part of the radii into which errors are clipped: aiming inside them, few steps reach a healthy window."""
 OVER = 3.5

@@ -39,20 +39,6 @@ from jaxbound.sets.floats.unrolled import foremost, product, stored, summed
 from jaxbound.sets.strips.exchange_step import WRITTEN_OUT, closeness, long_step, picked, reference, scaled
 from jaxbound.sets.strips.tableau import tableau_search
 
-__all__ = [
-    "Frame",
-    "Image",
-    "exchange_search",
-    "frame_of",
-    "margin_of",
-    "separation_best",
-    "separation_image",
-    "separation_margin",
-    "separation_search",
-    "separation_verdict",
-]
-
-
 Numbers: TypeAlias = jax.Array | np.ndarray
 
 

@@ -28,8 +28,6 @@ from jaxbound.exact.linalg import Rows
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.status import Status
 
-__all__ = ["Strips", "status_of", "strip_margin", "strip_verdict", "strips_of"]
-
 UNROLLED = 8  # up to here circuits are unrolled: above, compiling takes longer than a scan loses
 FEW = 64  # up to here known values are unrolled in a scan: 366 of them compile for minutes
 

@@ -19,8 +19,6 @@ import numpy as np
 from jaxbound.sets.floats.unrolled import foremost, summed
 from jaxbound.sets.strips.exchange_step import WRITTEN_OUT, closeness, long_step, picked, reference, scaled
 
-__all__ = ["tableau_search"]
-
 
 def tableau_search(
     R: jax.Array | np.ndarray,

@@ -29,8 +29,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.unrolled import summed, total
 from jaxbound.sets.strips.gauge import gauge_search
 
-__all__ = ["farthest", "few_strips", "holds", "refutes", "right_inverse", "strip", "strip_margins"]
-
 Strip: TypeAlias = tuple[jax.Array, jax.Array]
 """(h (r, N), margin (N,)): a direction and what it refutes by."""
 Image: TypeAlias = tuple[jax.Array, jax.Array, jax.Array]

@@ -14,8 +14,6 @@ import numpy as np
 
 from jaxbound.sets.floats.unrolled import product, stored
 
-__all__ = ["TERMS", "Factor", "factored", "solved"]
-
 TERMS = 48
 """Terms of a sum that are written out in a search."""
 

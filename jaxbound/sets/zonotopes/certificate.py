@@ -10,8 +10,6 @@ from jaxbound.exact import linalg
 from jaxbound.sets.zonotopes.feasibility import Found, feasible
 from jaxbound.sets.zonotopes.questions import Question
 
-__all__ = ["document", "exactly"]
-
 BY_FACETS = "this answer was proved by all facets of the outer set, of which no short certificate is known"
 MEETS = {"contains": "YES", "contains_set": "YES", "intersects": "YES", "is_empty": "NO"}
 STATEMENTS = {

@@ -15,8 +15,6 @@ from jaxbound.sets.intervals.bounds import Arrays
 from jaxbound.sets.zonotopes.zonotope import Zonotope, finite_arrays
 from jaxbound.text.objects import readable
 
-__all__ = ["ConstrainedZonotope", "constrained_zonotope", "parts"]
-
 
 @readable
 @jax.tree_util.register_dataclass

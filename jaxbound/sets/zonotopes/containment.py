@@ -20,8 +20,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.zonotopes import proof, search
 from jaxbound.sets.zonotopes.proof import Array, library, product
 
-__all__ = ["contained"]
-
 STARTS, CLIMBS = 16, 6
 """Directions along the axes, and others as many; how often they change."""
 CHUNK, CHUNKS = 16, 21

@@ -37,16 +37,6 @@ from jaxbound.sets.zonotopes.questions import Question, flat, normal, numbers, t
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 from jaxbound.text.objects import readable
 
-__all__ = [
-    "Answer",
-    "Decision",
-    "Separation",
-    "contains",
-    "intersects",
-    "is_empty",
-    "separate",
-]
-
 Pair: TypeAlias = tuple[np.ndarray | jax.Array, np.ndarray | jax.Array]
 EXACT = 100_000
 """How large m^2 (m + q) may be for exact numbers: a second or so."""

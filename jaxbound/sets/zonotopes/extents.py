@@ -20,8 +20,6 @@ from jaxbound.sets.zonotopes.maps import dimension, mapped, product, reach, up
 from jaxbound.sets.zonotopes.search import STEPS
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
-__all__ = ["interval_hull", "support"]
-
 ROUNDS, LEAST = 8, 2.0**-20
 """Points beyond the set that are asked for, each nearer than the one before; the least share of a direction
 in what separates one: less of it says that there is no set.

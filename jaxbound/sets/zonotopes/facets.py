@@ -21,8 +21,6 @@ from jaxbound.sets.zonotopes import gauges, kernels
 from jaxbound.sets.zonotopes.questions import numbers, traced
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
-__all__ = ["FEW", "by_facets", "exact_strips", "exactly", "membership", "strips"]
-
 FEW = 500
 """How many subsets of n - 1 generators are looked through for facets: a second or so in exact numbers."""
 

@@ -13,9 +13,6 @@ from typing import TypeAlias
 from jaxbound.exact import linalg
 from jaxbound.exact.chebyshev import chebyshev
 
-__all__ = ["Found", "feasible"]
-
-
 Found: TypeAlias = tuple[list[Fraction], None] | tuple[None, list[Fraction]]
 """A point, or the direction that proves that there is none."""
 

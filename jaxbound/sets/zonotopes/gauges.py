@@ -11,8 +11,6 @@ import numpy as np
 
 from jaxbound.sets.zonotopes import containment, proof, search
 
-__all__ = ["Bounds", "bounds", "contained", "gauge_bounds"]
-
 STEPS = 20
 """Steps of projections; at |gauge - 1| = 0.05 they suffice in 5 to 100 dimensions."""
 FEW, LANES = 512, 256

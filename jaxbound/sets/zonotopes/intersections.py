@@ -31,8 +31,6 @@ from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope, par
 from jaxbound.sets.zonotopes.maps import added, blocks, dimension, mapped, product, reach, up, whole
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
-__all__ = ["cancelled", "eliminate_constraints", "intersection", "strip_intersection"]
-
 
 @singledispatch
 def intersection(

@@ -12,8 +12,6 @@ from jax.typing import ArrayLike
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.zonotopes import containment, proof, search
 
-__all__ = ["bounds", "candidates", "contained", "image", "settled"]
-
 
 def settled(*arrays: jax.Array) -> tuple[jax.Array, ...]:
     """Return arrays that have one value for all their uses, NaN made infinite: the carry of a loop, whose

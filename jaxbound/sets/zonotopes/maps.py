@@ -26,25 +26,6 @@ from jaxbound.sets.intervals.interval import Interval, Operand, interval, mid, r
 from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope, parts
 from jaxbound.sets.zonotopes.zonotope import Zonotope
 
-__all__ = [
-    "added",
-    "blocks",
-    "cartesian_product",
-    "convex_hull",
-    "dimension",
-    "from_interval",
-    "linear_map",
-    "mapped",
-    "minkowski_sum",
-    "product",
-    "reach",
-    "scale",
-    "translate",
-    "up",
-    "weighed",
-    "whole",
-]
-
 SHORT = (
     16  # up to here a product of matrices fuses as a sum of outer products; a library's dot does better above
 )

@@ -34,21 +34,6 @@ from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 
-__all__ = [
-    "Image",
-    "gauge_above",
-    "gauge_below",
-    "image",
-    "largest",
-    "library",
-    "measured",
-    "more",
-    "product",
-    "unit",
-    "unscaled",
-]
-
-
 Array = TypeVar("Array", np.ndarray, jax.Array)
 
 SINGLE = 2**18

@@ -17,9 +17,6 @@ from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.kernels import settled
 from jaxbound.sets.zonotopes.proof import library
 
-__all__ = ["Question", "flat", "normal", "numbers", "traced"]
-
-
 Parts: TypeAlias = tuple[Any, Any, Any, Any]
 """(c, G, A, b), of NumPy on the host, of jax inside jit."""
 

@@ -15,8 +15,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.maps import dimension, product, reach, up, weighed, whole
 
-__all__ = ["reduce_order"]
-
 METHODS = ("girard", "combastel", "pca", "last")
 
 

@@ -25,8 +25,6 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.gauge import gauge_search
 from jaxbound.sets.zonotopes.proof import Array, library, product
 
-__all__ = ["STEPS", "beside", "exchanged", "program", "project", "repeated"]
-
 T = TypeVar("T")
 STEPS = 12
 """Vertices that an exchange visits at most, for each row."""

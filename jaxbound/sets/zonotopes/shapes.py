@@ -25,8 +25,6 @@ from jaxbound.sets.zonotopes.facets import exact_strips, exactly
 from jaxbound.sets.zonotopes.questions import traced
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
-__all__ = ["minkowski_difference", "sample", "vertices", "volume"]
-
 DETERMINANTS = 20_000  # of exact numbers, above which `volume` would take more than a few seconds
 
 

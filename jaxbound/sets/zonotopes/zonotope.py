@@ -14,8 +14,6 @@ from jaxbound.sets.intervals.bounds import Arrays
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 
-__all__ = ["Zonotope", "finite_arrays", "refuse_infinite", "zonotope"]
-
 
 @readable
 @jax.tree_util.register_dataclass

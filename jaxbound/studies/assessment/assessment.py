@@ -30,8 +30,6 @@ from jaxbound.studies.assessment.truth import Episode, Truth, truth_of
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import reporter
 
-__all__ = ["FACTORS", "Assessment", "Case", "Marks", "Naming", "assess"]
-
 FACTORS = (0.5, 0.7, 1.0, 1.5, 2.0, 3.0)
 POINTS = 65
 """Factors of a curve, quantiles of what windows need."""

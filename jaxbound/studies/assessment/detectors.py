@@ -16,8 +16,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.tuning.parametrization import model_with, moving
 
-__all__ = ["Detector", "Flags", "Monitored", "Needs"]
-
 BY_MARGIN = ("joint", "box")
 """Methods whose margins say at which factor on the bounds a window becomes consistent."""
 

@@ -15,8 +15,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import SignalModel, Signals
 from jaxbound.studies.assessment.truth import HEALTHY_WORDS, UNNAMED
 
-__all__ = ["column_labels", "file_labels"]
-
 LABELS = ("label", "labels", "fault", "anomaly", "faulty")
 """Names of the column of a file of labels, the likeliest first; else the one beside the time."""
 SAMPLE = "sample"

@@ -20,8 +20,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.studies.assessment.detectors import Detector, Needs
 from jaxbound.studies.identification import regression
 
-__all__ = ["Cusum", "Forest", "Principal", "Samples", "Threshold", "peers_of"]
-
 VARIANCE, LEVEL = 0.9, 0.99
 SIGMAS = 3.0
 AS_RECORDED = regression.Scales(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
@@ -229,7 +227,7 @@ def peers_of(
     Raises:
         ValueError: no window of the training; scikit-learn is not installed.
     """
-    samples = [Samples.of(recording) for recording in training]
+    samples = list(map(Samples.of, training))
     usable = sum(len(one.usable(horizon)) for one in samples)
     if usable < 3:
         raise ValueError(

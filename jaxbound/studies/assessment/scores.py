@@ -8,8 +8,6 @@ import numpy as np
 from jaxbound.diagnosis.watch import often
 from jaxbound.studies.assessment.truth import FAULTY, HEALTHY, Episode
 
-__all__ = ["Rule", "Score", "Trial", "counted", "in_alarm", "total"]
-
 Rule = tuple[int, int]
 """(k, n): an alarm is on while k of the last n windows are FAULT."""
 DAY = 86400.0

@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike
 
 from jaxbound.recordings.seams import all_starts
 
-__all__ = ["ASIDE", "FAULTY", "HEALTHY", "HEALTHY_WORDS", "UNNAMED", "Episode", "Truth", "truth_of"]
-
 HEALTHY, FAULTY, ASIDE = range(3)
 """Kinds of samples; those aside are healthy again, but a window that ends there still holds a fault."""
 HEALTHY_WORDS = ("", "0", "0.0", "healthy", "normal", "none", "no fault", "False", "false")

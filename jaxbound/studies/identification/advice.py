@@ -13,8 +13,6 @@ from jaxbound.studies.identification.signal_choice import TOGETHER
 from jaxbound.text.names import listed
 from jaxbound.text.quantities import duration
 
-__all__ = ["apart", "blind", "inputs_at_rest", "inputs_together", "limits", "no_average"]
-
 WIDE, CONTRADICTION, FEW = 1.5, 3.0, 10
 """Above this factor that a recording asks for that is left out, this factor between the bounds of two
 recordings, below this number of windows that do not overlap, the user is told that the data do not carry the

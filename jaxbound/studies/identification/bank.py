@@ -36,8 +36,6 @@ from jaxbound.studies.identification.window_tests import (
 )
 from jaxbound.text.progress import in_part
 
-__all__ = ["earned", "fitted_bank", "test_as_fitted"]
-
 GAIN = 0.8
 """A test earns its place where it sees an error from this share of the size on that the others need."""
 SOON = 8

@@ -13,8 +13,6 @@ from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trial import Trial
 from jaxbound.studies.tuning.widening import stated, widened
 
-__all__ = ["rounded_up", "verified"]
-
 ATTEMPTS = 20
 """Times that bounds are widened where rounding left a window undecided."""
 WIDER = 1.001

@@ -18,8 +18,6 @@ from jaxbound.studies.identification.records import Records, measured, parted
 from jaxbound.studies.identification.structure import chained, delayed
 from jaxbound.studies.identification.training import Training
 
-__all__ = ["Candidate", "FitProblem", "candidate", "largest_need"]
-
 WINDOW = ("horizon", "lags")
 """Arguments of a LinearSystem that say which windows its bounds are for."""
 EXACT, LEAST = 1e-14, 1e-3

@@ -12,8 +12,6 @@ import numpy as np
 from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.regression import CompleteWindows, scales_of, windows_of
 
-__all__ = ["closed_loops"]
-
 PAST, MOST = 2, 20_000
 """Samples of the past that predict, and windows that are looked at, at most."""
 ROOM = 20

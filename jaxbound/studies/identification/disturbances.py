@@ -32,8 +32,6 @@ from jaxbound.studies.identification.trajectories import (
 from jaxbound.studies.identification.trial import EXCITED, LeftOut, Trial, excited
 from jaxbound.text.names import listed
 
-__all__ = ["SETTINGS", "Disturbed", "Setting", "chosen_disturbances", "refuse_unseen", "structured"]
-
 
 class Setting(NamedTuple):
     """Disturbances in shares of the noise of the sensors.

@@ -15,8 +15,6 @@ import numpy as np
 
 from jaxbound.studies.identification.regression import Scales
 
-__all__ = ["filtered", "poles_of"]
-
 FADED, RATIO = 0.05, 3.0
 """What is left of a first state after a window, at the slowest pole; how many times faster the next one
 is.

@@ -14,8 +14,6 @@ from jaxbound.studies.identification.signal_choice import TriedSignals
 from jaxbound.studies.identification.window_tests import JudgedTest
 from jaxbound.text.objects import readable
 
-__all__ = ["FitCheck", "Fitted", "PartLeftOut", "Tradeoff"]
-
 
 class PartLeftOut(NamedTuple):
     """A recording, or a block of one, that was left out of a fit.

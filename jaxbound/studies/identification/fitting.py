@@ -40,8 +40,6 @@ from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.window_tests import WINDOWS
 from jaxbound.text.progress import in_part, reporter
 
-__all__ = ["fit"]
-
 
 @where_proofs_hold(compiled=False)
 @sparing(False)

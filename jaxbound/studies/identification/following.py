@@ -22,8 +22,6 @@ from jaxbound.recordings.factors import read_factor
 from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.training import Training
 
-__all__ = ["WEIGHTS", "Follows", "follows_in", "hindrance", "leverage_text", "times"]
-
 WEIGHTS = (0.1, 0.3)
 """That are tried beside 0; larger ones lose what they gain."""
 RIDGE = 1e-3

@@ -29,8 +29,6 @@ from jaxbound.studies.identification.one_thread import times
 from jaxbound.studies.identification.records import Record, Records
 from jaxbound.studies.identification.regression import Scales, complete_windows, courses
 
-__all__ = ["GaugeJudge", "best_approximations", "gauge_of", "seen_slopes"]
-
 CHUNK, BATCH = 2_048, 64
 """Windows whose residuals are looked at together; whose programs are solved together."""
 RANK = 1e-11
@@ -155,7 +153,7 @@ def _over_bounds(
     rows = [single.reshape(-1, count * p)]
     for average in averages:
         _, i = average.place(model.outputs)
-        weights = np.array([float(x) for x in average.weights])
+        weights = np.array(list(map(float, average.weights)))
         bound = float(average.bound) + float(model.resolution[i]) * np.abs(weights).sum()
         runs = np.zeros((count - len(weights) + 1, count, p))
         first = np.arange(len(runs))[:, None]

@@ -22,8 +22,6 @@ from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.regression import Scales, courses
 from jaxbound.studies.tuning.observer_tuning import observer_scale
 
-__all__ = ["Judge", "ObserverJudge", "Sizes", "WindowJudge", "explains"]
-
 FEW = 2_048
 """Samples up to which a search is proved in NumPy: that takes half a millisecond each, compiling it 5 s."""
 Windows = ParityRelation | UncertainRelations

@@ -15,8 +15,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
 
-__all__ = ["LOOSE", "lowered", "smallest_means"]
-
 LEAST, STEPS = 1e-3, 10
 """The least share of the bound of a sample that is tried, and halvings of the logarithm from there to 1: to
 about 1 %.

@@ -4,8 +4,6 @@ twenty times as much of the processors as products of this size.
 
 import numpy as np
 
-__all__ = ["times"]
-
 ALONE = 2**18
 """Multiplications up to which OpenBLAS takes one thread."""
 

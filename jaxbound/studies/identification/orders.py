@@ -19,8 +19,6 @@ from jaxbound.studies.identification.structure import delayed
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trial import tried
 
-__all__ = ["DELAYS", "ENOUGH", "ORDERS", "acting_otherwise", "settled"]
-
 ORDERS = (1, 2, 3, 4)
 DELAYS = (1, 2, 3, 4, 5, 6, 8)
 """Samples from an input to its first effect that are tried."""

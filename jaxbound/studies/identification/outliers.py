@@ -31,8 +31,6 @@ from jaxbound.studies.identification.structure import delayed
 from jaxbound.text.names import listed
 from jaxbound.text.quantities import factor
 
-__all__ = ["Outliers", "outliers", "refuse_outliers"]
-
 SHARE, MEANS, SAME = 0.01, 0.05, 0.1
 """The largest share of the samples of a signal that are outliers; that of means, each of which one sample may
 spoil; that of one and the same number.

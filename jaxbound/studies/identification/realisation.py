@@ -12,8 +12,6 @@ from jaxbound.studies.identification import filters, regression
 from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.regression import CompleteWindows, Scales
 
-__all__ = ["realised", "realised_filters", "realised_static"]
-
 DIGITS = 6
 """Coefficients are rounded to this many digits behind the largest effect that they could have, relative to
 the spread of the output.

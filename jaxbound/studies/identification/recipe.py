@@ -15,18 +15,6 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.numbers import is_real, is_whole
 from jaxbound.text.objects import readable
 
-__all__ = [
-    "AUTO",
-    "BANK",
-    "KINDS",
-    "Recipe",
-    "RecipeFields",
-    "WindowChoice",
-    "recipe_of",
-    "recipe_text",
-    "wanted_biases",
-]
-
 AUTO, BANK = "auto", "bank"
 KINDS = ("least squares", "windows", "filters")
 HORIZON = 15

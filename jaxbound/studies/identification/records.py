@@ -20,8 +20,6 @@ from jaxbound.recordings.seams import TOLERATED_DT
 from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.table import as_table, is_table
 
-__all__ = ["Names", "Record", "Records", "measured", "names_of", "parted", "period_of", "read_each"]
-
 Record = tuple[np.ndarray, np.ndarray, np.ndarray]
 """(u (T, m), y (T, p), starts)."""
 Records = list[Record]

@@ -20,28 +20,6 @@ from jaxbound.recordings.seams import crossing
 from jaxbound.studies.identification.one_thread import times
 from jaxbound.studies.identification.records import Records
 
-__all__ = [
-    "Scales",
-    "CompleteWindows",
-    "completeness",
-    "coefficients",
-    "complete_windows",
-    "courses",
-    "growth",
-    "in_windows",
-    "information",
-    "least_squares",
-    "reached",
-    "refined",
-    "responses",
-    "scales_of",
-    "step_error",
-    "step_errors",
-    "window_residuals",
-    "windows_of",
-    "windows_without",
-]
-
 STEPS, SETTLED = 60, 1e-6
 """Steps of the refinement at most, and the relative gain of one after which it ends."""
 MOST = 1_024

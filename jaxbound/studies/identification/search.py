@@ -31,8 +31,6 @@ from jaxbound.studies.identification.trial import Trial, tried
 from jaxbound.studies.identification.window_tests import RAMP, TriedTest, best_kind, searched_means
 from jaxbound.text.progress import in_part
 
-__all__ = ["fitted", "on_recordings"]
-
 
 def on_recordings(training: Training, recipe: Recipe) -> list[str]:
     """Return sentences on what recordings tell, whatever is fitted to them.

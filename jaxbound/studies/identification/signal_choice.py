@@ -31,16 +31,6 @@ from jaxbound.studies.identification.structure import delayed
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trial import tried
 
-__all__ = [
-    "GIVEN",
-    "TOGETHER",
-    "SignalProblem",
-    "TriedSignals",
-    "chosen_signals",
-    "products",
-    "refuse_unnamed",
-]
-
 ASKED = 12
 """Products that are tried a round: those that explain most of the errors of one step."""
 TOGETHER = 0.995

@@ -6,8 +6,6 @@ import numpy as np
 
 from jaxbound.studies.identification.records import Record, Records
 
-__all__ = ["chained", "delayed"]
-
 
 def delayed(records: Records, delay: int) -> Records:
     """Return recordings with the inputs of delay - 1 samples before; NaN where nobody recorded them."""

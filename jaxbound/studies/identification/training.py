@@ -12,8 +12,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.studies.identification.records import Names, Records, period_of, read_each
 from jaxbound.studies.identification.regression import Scales, scales_of
 
-__all__ = ["Training"]
-
 
 @dataclass(frozen=True, eq=False)
 class Training:

@@ -26,17 +26,6 @@ from jaxbound.studies.identification.records import Record
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
-__all__ = [
-    "SETTLED",
-    "SMALLER",
-    "GivenUp",
-    "added_fault",
-    "hidden_jumps",
-    "hidden_sizes",
-    "least_factor",
-    "sure_sizes",
-]
-
 Sizes: TypeAlias = dict[str, float]
 """{output: size}."""
 Sparse: TypeAlias = Any

@@ -24,8 +24,6 @@ from jaxbound.studies.identification.judging import Judge
 from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.structure import delayed
 
-__all__ = ["EXCITED", "LeftOut", "Trial", "Walks", "excited", "tried", "widest"]
-
 Walks = tuple[np.ndarray, np.ndarray]
 """(G (n, g), smallest bounds (g,)) of disturbances."""
 EXCITED = 0.02

@@ -23,8 +23,6 @@ from jaxbound.sets.strips.strips import strip_margin
 from jaxbound.studies.montecarlo import kernel
 from jaxbound.studies.montecarlo.scenarios import Act
 
-__all__ = ["attack_block", "worst_factor"]
-
 Descent: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 """The unknowns, how fast they move, the best ones of each scenario, and their largest factors."""
 
@@ -41,8 +39,8 @@ def _factors(reading: Reading, u: Array, y: Array) -> jax.Array:
     us, ys = _windows(inputs, reading.lags, count), _windows(outputs, reading.horizon + 1, count)
     flat = jnp.zeros((reading.lags, 0, count * N), y.dtype)
     if us and us[0]:
-        flat = jnp.stack([jnp.stack(row) for row in us])
-    mid, rad, _, known, _ = reading.block(flat, jnp.stack([jnp.stack(row) for row in ys]))
+        flat = jnp.stack(list(map(jnp.stack, us)))
+    mid, rad, _, known, _ = reading.block(flat, jnp.stack(list(map(jnp.stack, ys))))
     if isinstance(reading.shape, Frame):
         return 1 - separation_margin(reading.shape, mid, rad, known).reshape(count, N)
     t: jax.Array = 1 - strip_margin(reading.strips, stored(mid), stored(rad), known).reshape(count, N)

@@ -9,8 +9,6 @@ import numpy as np
 
 from jaxbound.random.threefry import Array, threefry
 
-__all__ = ["INPUTS", "ONSETS", "STEPS", "share", "words"]
-
 STEPS, INPUTS, ONSETS = np.uint32(0), np.uint32(2**31), np.uint32(3 * 2**30)
 """Where the counters of the unknowns of each step, of the levels of the inputs and of the onsets begin."""
 

@@ -12,8 +12,6 @@ from jaxbound.files.checkpoint import Checkpoint
 from jaxbound.files.whole import whole
 from jaxbound.studies.montecarlo.tally import TrialTally
 
-__all__ = ["Keeper"]
-
 STATE, ROWS = "study.npz", "scenarios"
 
 

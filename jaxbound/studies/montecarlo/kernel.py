@@ -26,18 +26,6 @@ from jaxbound.random.threefry import Array
 from jaxbound.studies.montecarlo import draws, recursion
 from jaxbound.studies.montecarlo.scenarios import Act
 
-__all__ = [
-    "BLOCK",
-    "Begun",
-    "Course",
-    "Scene",
-    "count_block",
-    "drawn",
-    "prepared",
-    "recorded",
-    "replay_block",
-]
-
 Unknowns = tuple[list[Array], list[Array], list[Array], Array | None]
 """theta, delta and the disturbances' shares, a list over signals of (N,), and what a noise fault draws."""
 

@@ -51,8 +51,6 @@ from jaxbound.workers.engine import in_order
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["study"]
-
 Task: TypeAlias = tuple[int, int]
 """(number of a fault, its first scenario)."""
 Counts: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]

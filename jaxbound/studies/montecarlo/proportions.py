@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["proportion_interval", "rate_interval"]
-
 
 def proportion_interval(
     found: ArrayLike, of: ArrayLike, confidence: float = 0.95

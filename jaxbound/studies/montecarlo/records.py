@@ -18,8 +18,6 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.montecarlo import kernel, scenarios
 
-__all__ = ["count_recordings", "recording_block", "simulate_block"]
-
 
 def recording_block(course: kernel.Course, samples_at_once: int = 2**17) -> int:
     """Return how many scenarios are written out at once: a function of their length alone."""

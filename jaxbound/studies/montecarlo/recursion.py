@@ -41,8 +41,6 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.random.threefry import Array
 from jaxbound.sets.floats import rounding
 
-__all__ = ["FloatPlant", "fits", "plant_of", "reach", "rounding_room", "step"]
-
 Zeros: TypeAlias = tuple[tuple[bool, ...], ...]
 """Which entries of a matrix are zero."""
 

@@ -22,8 +22,6 @@ from jaxbound.random.threefry import Array
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.studies.montecarlo import recursion
 
-__all__ = ["Act", "Ground", "Trial", "act_of"]
-
 SIZELESS = ("stuck", "dropout")
 SHIFTS = ("bias", "drift", "gain")
 """Kinds that one kernel serves."""

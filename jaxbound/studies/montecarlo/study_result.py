@@ -16,8 +16,6 @@ from jaxbound.text.objects import readable
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["StudyResult", "delay_table", "study_table"]
-
 
 @readable
 @dataclass(frozen=True, eq=False)

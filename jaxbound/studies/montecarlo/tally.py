@@ -6,8 +6,6 @@ import numpy as np
 
 from jaxbound.studies.montecarlo.proportions import proportion_interval, rate_interval
 
-__all__ = ["TrialTally"]
-
 
 class TrialTally:
     """The counts of one Trial, per size.

@@ -20,21 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = [
-    "Blocks",
-    "Risk",
-    "Search",
-    "blocks_of",
-    "distribution_band",
-    "held_out",
-    "rank_risk",
-    "rate_bound",
-    "risk_of",
-    "risk_of_recordings",
-    "scenario_bound",
-    "touched",
-]
-
 BLOCKS = 100  # that data are cut into, unless a length is asked for
 
 

@@ -36,19 +36,6 @@ from jaxbound.studies.tuning.parametrization import Moving, Sizes, unflatten
 if TYPE_CHECKING:
     import optax
 
-__all__ = [
-    "RATE",
-    "Faulty",
-    "Objective",
-    "Pace",
-    "Seen",
-    "default_optimizer",
-    "descend",
-    "gradient",
-    "log_factors",
-    "objective_of",
-]
-
 LogFactors: TypeAlias = tuple[jax.Array, tuple[jax.Array, ...]]
 """log t (N,) of windows, and its slopes, arrays (., N) of a row a bound."""
 Faulty: TypeAlias = tuple[jax.Array, jax.Array, jax.Array, jax.Array]

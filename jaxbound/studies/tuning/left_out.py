@@ -14,8 +14,6 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.studies.tuning.parametrization import Moving
 from jaxbound.studies.tuning.scaling import JoinedRecordings, factors, smallest_scale
 
-__all__ = ["factors_left_out", "of_needs"]
-
 UNKNOWN = float("nan")
 
 

@@ -22,8 +22,6 @@ from jaxbound.studies.tuning.tune_result import TuneResult, caught_of
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import in_part
 
-__all__ = ["MonitorTuneResult", "tuned_monitor"]
-
 DIGITS = 4
 """Of a factor in a model file."""
 UNSCALED = "parameters"

@@ -20,8 +20,6 @@ from jaxbound.studies.tuning.scaling import both_recordings
 from jaxbound.studies.tuning.tune_result import TuneResult
 from jaxbound.studies.tuning.widening import Smallest, concluded
 
-__all__ = ["observer_scale", "tuned_observer"]
-
 CLOSE = 1.01
 """Ratio of the ends of a bracket."""
 LEAST, MOST = 2.0**-20, 2.0**20

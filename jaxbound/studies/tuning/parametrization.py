@@ -19,8 +19,6 @@ from jaxbound.relations.bounds import KINDS, model_bounds
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.relations.uncertain import UncertainRelations
 
-__all__ = ["Moving", "Tunable", "model_with", "moving", "tuned_model", "unflatten"]
-
 Flat = TypeVar("Flat", jax.Array, np.ndarray)
 Tunable: TypeAlias = ParityRelation | UncertainRelations | SetObserver[Any]
 Sizes = tuple[tuple[str, int], ...]

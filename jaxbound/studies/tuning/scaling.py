@@ -27,8 +27,6 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.tuning.parametrization import Moving
 
-__all__ = ["JoinedRecordings", "both_recordings", "factors", "joined_recordings", "smallest_scale", "worst"]
-
 FEW = 16  # worst windows that a test of all adds to those searched
 LEAST, MOST = 1e-12, 1e15  # factors looked at
 NEAR_ONE = 0.999999  # of a tolerance

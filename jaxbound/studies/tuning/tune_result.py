@@ -14,8 +14,6 @@ from jaxbound.studies.tuning.confidence import Risk
 from jaxbound.studies.tuning.parametrization import Tunable
 from jaxbound.text.objects import readable
 
-__all__ = ["History", "TuneResult", "caught_of", "history_columns"]
-
 History: TypeAlias = list[np.ndarray]
 """(step, width, share of faulty windows outside, values ..), (3 + b,), of each look at all windows."""
 

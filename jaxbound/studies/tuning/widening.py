@@ -19,8 +19,6 @@ from jaxbound.studies.tuning.parametrization import Moving, Tunable, model_with,
 from jaxbound.studies.tuning.scaling import JoinedRecordings
 from jaxbound.studies.tuning.tune_result import History, TuneResult, history_columns
 
-__all__ = ["Smallest", "concluded", "stated", "stated_factor", "widened"]
-
 
 def widened(factor: float, safety: float) -> str:
     """Return the factors on the smallest bounds as their provenance has them."""
