@@ -238,5 +238,5 @@ def test_zeros_of_both_signs_are_two_numbers():
 
 
 def test_a_kernel_of_a_gradient_is_that_gradient():
-    square = kernel.kernel(lambda x: x * x)
-    assert float(kernel.kernel(jax.grad(square))(3.0)) == 6.0
+    square = kernel(lambda x: x * x)
+    assert float(kernel(jax.grad(square))(3.0)) == 6.0
