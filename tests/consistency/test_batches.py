@@ -110,6 +110,7 @@ def test_a_batch_across_a_block_end_is_seamless(rng):
         np.testing.assert_array_equal(whole.status[i], jb.detect(r, u[i], y[i]).status)
 
 
+@pytest.mark.compiled
 def test_recordings_of_other_lengths_do_not_trace_again(rng):
     r = jb.parity_relations(paper(), horizon=2)
     jb.detect(r, *recording((50,), rng))
@@ -119,6 +120,7 @@ def test_recordings_of_other_lengths_do_not_trace_again(rng):
     assert strips.verdicts._cache_size() == traced
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("horizon", [1, 2])
 def test_a_second_model_of_the_same_shape_does_not_trace_again(horizon, rng):
     u, y = recording((50,), rng)

@@ -224,6 +224,7 @@ def test_verdicts_do_not_depend_on_the_block_or_the_position_in_it(rng):
         np.testing.assert_allclose(found[lacking], expected[lacking], rtol=1e-9)
 
 
+@pytest.mark.compiled
 def test_nothing_is_traced_again_for_another_recording_or_model(rng):
     u, y = rng.uniform(-1, 1, (300, 1)), rng.normal(size=(300, 2))
     jb.detect(jb.parity_relations(paper(), 20), u, y)

@@ -169,6 +169,7 @@ def test_a_state_is_a_tree_of_numpy_arrays_that_a_file_holds(rng):
     np.testing.assert_array_equal(margin, res.margin[30:])
 
 
+@pytest.mark.compiled
 def test_windows_that_lack_samples_wait_for_no_compiling(rng):
     """A shape takes seconds of compiling: no stream waits for these."""
     r = jb.parity_relations(paper(), 20)
@@ -193,7 +194,7 @@ def test_numpy_judges_the_first_searched_windows_whatever_the_pieces(rng, monkey
         blocks.append(args)
         return search(*args, **kwargs)
 
-    kernel.compile()
+    monkeypatch.setattr(kernel, "_mode", kernel.AUTO)
     monkeypatch.setattr(kernel, "FIRST", 40)
     monkeypatch.setattr(exchange, "candidates", seen)
     r = jb.parity_relations(paper(), 20)
@@ -211,6 +212,7 @@ def test_numpy_judges_the_first_searched_windows_whatever_the_pieces(rng, monkey
     assert early == [40, 40, 0] and kernel.first_in_numpy(38, 50, 1, "another") == 2
 
 
+@pytest.mark.compiled
 def test_a_second_step_does_not_compile(rng):
     r = jb.parity_relations(paper())
     u, y = recording(rng, r.model, 8)

@@ -279,6 +279,10 @@ def test_a_single_relation_is_tested_at_its_vertices(rng, runs):
     assert abs(share - 1341 / 11600) < 0.04
 
 
+@pytest.mark.compiled
+@pytest.mark.long(
+    by_day="consistency/test_batches::test_a_second_model_of_the_same_shape_does_not_trace_again"
+)
 def test_a_second_call_does_not_trace(rng):
     r, (u, y) = relations("n2p1_Btwo_h3"), record(rng, "n2p1_Btwo_h3", 4, "uniform")
     jb.detect(r, u, y)
@@ -288,6 +292,10 @@ def test_a_second_call_does_not_trace(rng):
     assert sizes() == before
 
 
+@pytest.mark.compiled
+@pytest.mark.long(
+    by_day="consistency/test_batches::test_a_second_model_of_the_same_shape_does_not_trace_again"
+)
 def test_boxes_and_margins_compile_nothing_beside_the_joint_test(rng):
     """Boxes of parameters are judged by what judges the whole box, in blocks of the same size, however many
     windows are left open.

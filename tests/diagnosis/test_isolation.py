@@ -191,6 +191,7 @@ def test_a_single_relation_proves_consistent(rng):
         jb.detect(jb.redundancy(paper(constant_tolerance=True)), np.zeros((9, 1)), np.zeros((9, 2)))
 
 
+@pytest.mark.compiled
 def test_no_second_trace(stable, rng):
     m, bank = stable
     from jaxbound.consistency import bank as kernels

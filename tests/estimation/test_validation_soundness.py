@@ -40,6 +40,7 @@ def test_a_first_state_that_is_given_is_that_of_the_first_sample(rng, method):
     assert inside(found, x).all() and not found.faulty.any()
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("method", [pytest.param("joint", marks=pytest.mark.long), "sequential"])
 def test_a_recording_is_judged_alike_in_any_company_and_nothing_is_traced_again(rng, method):
     m = paper()

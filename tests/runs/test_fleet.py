@@ -214,6 +214,7 @@ class TestCommand:
         )
 
 
+@pytest.mark.compiled
 def test_models_of_one_shape_share_one_compilation(tmp_path):
     rng = np.random.default_rng(1)
     units = [f"P{i}" for i in range(12)]

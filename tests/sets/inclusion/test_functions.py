@@ -203,6 +203,7 @@ def test_what_may_change_unseen_is_left_as_it_is():
     assert traced[0][0] is traced[0][1]
 
 
+@pytest.mark.compiled
 def test_programs_of_many_functions_are_forgotten(monkeypatch):
     monkeypatch.setattr(functions, "KEPT", 5)
     functions._kept.clear()
@@ -213,7 +214,7 @@ def test_programs_of_many_functions_are_forgotten(monkeypatch):
         assert value(lambda z, k=float(k): k * z[0]) == k
         most = max(most, enclose._cache_size())
     assert len(functions._kept) <= 5
-    assert most <= 7
+    assert 0 < most <= 7
 
 
 def test_a_thousand_functions_leave_a_bounded_number():

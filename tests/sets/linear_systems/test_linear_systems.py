@@ -291,6 +291,7 @@ def test_a_start_box_asks_for_the_solutions_inside():
     ).all()
 
 
+@pytest.mark.compiled
 def test_a_second_call_does_not_trace(rng):
     solve_interval(*_random_systems(rng, COUNT, 2), "hbr")
     before = _solve._cache_size()
