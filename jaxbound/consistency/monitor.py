@@ -9,6 +9,7 @@ the short ones have 64 and 16. A verdict is a proof with any rounding.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias, TypeGuard
 
@@ -266,9 +267,10 @@ class Monitor:
         broken = begun + first  # counted in all samples
         if state.follows < first:
             broken = np.concatenate([[s - int(state.follows)], broken])
-        test, early = self._test, 0
-        if test.gathered:  # strips compile in less time than NumPy takes for some dozens
-            early = first_in_numpy(int(state.samples), count, test.weight, test.kind)
+        test, weight = self._test, math.inf  # strips compile in less time than NumPy takes for some dozens
+        if test.gathered:
+            weight = test.weight
+        early = first_in_numpy(int(state.samples), count, weight, test.kind)
         verdict = self._judge(all_u, all_y, broken, first, first + early)
         follows = self._follows(own, begun, state)
         keep = len(all_y) - s

@@ -213,6 +213,17 @@ def test_numpy_judges_the_first_searched_windows_whatever_the_pieces(rng, monkey
 
 
 @pytest.mark.compiled
+@pytest.mark.parametrize("mode", [kernel.NEVER, kernel.AUTO])
+def test_strips_are_compiled_at_once_or_never(rng, monkeypatch, mode):
+    outside, judge = set(), strips.verdicts
+    monkeypatch.setattr(kernel, "_mode", mode)
+    monkeypatch.setattr(strips, "verdicts", lambda *x: outside.add(kernel.is_outside_xla()) or judge(*x))
+    mon = Monitor(jb.parity_relations(paper()))
+    mon.run(mon.init(), *recording(rng, paper(), 9))
+    assert outside == {mode == kernel.NEVER}
+
+
+@pytest.mark.compiled
 def test_a_second_step_does_not_compile(rng):
     r = jb.parity_relations(paper())
     u, y = recording(rng, r.model, 8)

@@ -112,16 +112,16 @@ def spared(work: float, kind: Hashable) -> bool:
     return _mode == NEVER or _evaluated[kind] <= FEW
 
 
-def first_in_numpy(samples: int, count: int, weight: int, kind: Hashable) -> int:
+def first_in_numpy(samples: int, count: int, weight: float, kind: Hashable) -> int:
     """Return how many of the next windows of a stream, behind so many samples, are to be judged one by one
     under `UNCOUNTED`: the same ones, and so the same bytes, however a stream is cut and continued. A process
     with many streams of a kind compiles in the end. weight: of a window, in those of a small test.
     """
-    if is_outside_xla() or is_sparing() is False or _mode == ALWAYS:
+    if is_outside_xla() or is_sparing() is False or _mode == ALWAYS or _platform() != "cpu":
         return 0
     if _mode == NEVER:
         return count
-    key, few = ("first", kind), FIRST // weight
+    key, few = ("first", kind), int(FIRST // weight)
     early = max(min(count, few - samples, int(STREAMS * few - _evaluated[key])), 0)
     _evaluated[key] += early
     return early
