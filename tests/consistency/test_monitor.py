@@ -210,6 +210,8 @@ def test_numpy_judges_the_first_searched_windows_whatever_the_pieces(rng, monkey
     assert {jb.Status.CONSISTENT, jb.Status.FAULT} < set(together[0].tolist())
     early = [kernel.first_in_numpy(0, 50, 1, mon._test.kind) for _ in range(3)]
     assert early == [40, 40, 0] and kernel.first_in_numpy(38, 50, 1, "another") == 2
+    with kernel.sparing():  # `detect` by a monitor has all samples at once
+        assert kernel.first_in_numpy(0, 50, 1, "a third") == 0
 
 
 @pytest.mark.compiled
