@@ -169,6 +169,16 @@ def compiled(request):
 
 
 @pytest.fixture
+def as_users_do():
+    """Compile as for users who said nothing, whatever other tests ask for."""
+    from jaxbound.sets.floats import kernel
+
+    kernel.compile()
+    yield
+    kernel.compile("always")
+
+
+@pytest.fixture
 def many(monkeypatch):
     """Judge few windows as many are: easy ones first."""
     monkeypatch.setattr("jaxbound.consistency.interface.MANY", 1)

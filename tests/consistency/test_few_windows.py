@@ -10,15 +10,7 @@ from jaxbound.consistency.drive import windows
 from jaxbound.recordings.recording import NOWHERE
 from jaxbound.sets.floats.kernel import FEW, PRIMITIVES, outside_xla, spared, sparing
 
-pytestmark = pytest.mark.compiled
-
-
-@pytest.fixture(autouse=True)
-def asked():
-    """Judge as users do who said nothing, whatever other tests ask for."""
-    jb.compile()
-    yield
-    jb.compile("always")
+pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("as_users_do")]
 
 
 @pytest.fixture

@@ -11,17 +11,9 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import FEW, is_outside_xla, outside_xla
 from jaxbound.sets.floats.probe import Unverified
 
-pytestmark = pytest.mark.compiled
+pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("as_users_do")]
 
 PLANT = jb.LinearSystem([[0.9, 0.2], [0, 0.8]], [[0], [1]], [[1, 0], [1, 1]], noise=0.1, tolerance=[0.01, 0])
-
-
-@pytest.fixture(autouse=True)
-def asked():
-    """Judge as users do who said nothing, whatever other tests ask for."""
-    jb.compile()
-    yield
-    jb.compile("always")
 
 
 @pytest.fixture
