@@ -8,7 +8,7 @@ Nothing fuses, no loop is vectorised, no copy is left out.
 Compiling takes seconds, evaluating a program for some hundred windows a tenth of one. So whoever judges few
 windows, or samples, has them `tried_in_numpy` first, which counts work and no seconds: the same calls take
 the same way on every machine. The last digits of exact margins depend on the way, and so whether a window
-within rounding of its bounds is CONSISTENT or UNDECIDED; FAULT does not.
+within rounding of its bounds is decided or UNDECIDED; what is decided is proved both ways.
 """
 
 import contextlib
@@ -48,9 +48,9 @@ _evaluated: defaultdict[Hashable, float] = defaultdict(float)
 def compile(when: str = AUTO) -> None:
     """Say when this process compiles the programs by which `detect`, `observe` and `validate` judge.
 
-    Others are told by the variable `JAXBOUND_COMPILE`. FAULT does not depend on it, exact margins by their
+    Others are told by the variable `JAXBOUND_COMPILE`. Proofs do not depend on it, exact margins by their
     last digits: NumPy evaluates the same programs under the same bounds of rounding. A window within rounding
-    of its bounds may be CONSISTENT one way and UNDECIDED the other. Where bounds of margins will do, NumPy's
+    of its bounds may be decided one way and UNDECIDED the other. Where bounds of margins will do, NumPy's
     are exact.
 
     Args:
