@@ -36,7 +36,13 @@ from jaxbound.consistency.searched import only_searched
 from jaxbound.consistency.twice import decided_twice, warn_of
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import crossing
-from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla, tried_in_numpy
+from jaxbound.sets.floats.kernel import (
+    UNCOUNTED,
+    is_outside_xla,
+    is_sparing,
+    outside_xla,
+    tried_in_numpy,
+)
 from jaxbound.sets.floats.probe import (
     default_device,
     refuse_unverified,
@@ -139,7 +145,8 @@ def windows(
         return decided()
     if test.by_kernels:
         tried = tried_in_numpy(decided, window_count(shape, test.horizon) * test.weight, test.kind)
-        if tried is not None and (test.confirms or not _left_by_rounding(tried)):
+        believed = test.confirms and is_sparing() != UNCOUNTED  # a window of a stream is looked at again
+        if tried is not None and (believed or not _left_by_rounding(tried)):
             return tried
     if not searching_device():
         if not test.on_host:

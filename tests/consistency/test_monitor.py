@@ -208,8 +208,15 @@ def test_numpy_judges_the_first_searched_windows_whatever_the_pieces(rng, monkey
     together = np.concatenate([verdict.status, status]), np.concatenate([verdict.margin, margin])
     assert_equal(stepped(mon, u, y), Verdict(*together))
     assert {jb.Status.CONSISTENT, jb.Status.FAULT} < set(together[0].tolist())
-    early = [kernel.first_in_numpy(0, 50, 1, mon._test.kind) for _ in range(3)]
-    assert early == [40, 40, 0] and kernel.first_in_numpy(38, 50, 1, "another") == 2
+    blocks.clear()
+    with monkeypatch.context() as patch:
+        patch.setattr("jaxbound.consistency.drive._left_by_rounding", lambda judged: True)
+        again = mon.run(mon.init(), u[:24], y[:24])[1]
+    assert len(blocks) == 4, "what rounding leaves open is searched by XLA"
+    np.testing.assert_array_equal(again.status, together[0][:24])
+    kernel._evaluated.clear()
+    early = [kernel.first_in_numpy(0, 50, 1, mon._test.kind) for _ in range(5)]
+    assert early == [40, 40, 40, 40, 0] and kernel.first_in_numpy(38, 50, 1, "another") == 2
     with kernel.sparing():  # `detect` by a monitor has all samples at once
         assert kernel.first_in_numpy(0, 50, 1, "a third") == 0
 
