@@ -95,18 +95,23 @@ class Carried(Generic[State]):
         _, given = self.observer.recording(on_device(recording, self.laps))
         stop = first + recording.samples
         if self.warm and self.done > first:
-            before = given.cut(max(self.done - self.warm - first, 0), self.done - first)
-            self.carry, _ = self.observer.followed(self.carry, before)
+            self._follow(given.cut(max(self.done - self.warm - first, 0), self.done - first))
         self.warm = None
         edges = [self.done, *range((self.done // self.size + 1) * self.size, stop, self.size), stop]
         for begin, end in itertools.pairwise(edges):
-            self.carry, found = self.observer.followed(self.carry, given.cut(begin - first, end - first))
+            found = self._follow(given.cut(begin - first, end - first))
             self.done = end
             verdicts = _judged(self.observer, found)
             before = max(begin - first - self.overlap, 0)  # windows of the first sample reach back so far
             u = np.asarray(recording.u)[before : end - first]
             verdicts = placed(verdicts, self.region, u, self.outside)
             yield recording.cut(begin - first, end - first), verdicts
+
+    def _follow(self, samples: Recording) -> OfObserver:
+        """Carry on over samples; return their verdicts."""
+        with sparing(False):  # the same bytes whoever makes which part
+            self.carry, found = self.observer.followed(self.carry, samples)
+        return found
 
     def memory(self) -> Memory:
         """Return the carry behind the last sample."""

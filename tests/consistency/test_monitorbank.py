@@ -8,7 +8,12 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
+from jaxbound.consistency import monitor
 from jaxbound.consistency.monitorbank import NO, UNKNOWN, YES, combined
+from jaxbound.recordings.recording import Recording
+from jaxbound.runs.judges import Carried
+from jaxbound.runs.loop import Laps
+from jaxbound.sets.floats.kernel import is_sparing
 from jaxbound.sets.floats.status import Status
 
 M, C, U, F = Status.MISSING, Status.CONSISTENT, Status.UNDECIDED, Status.FAULT
@@ -223,3 +228,13 @@ def test_a_model_with_tests_and_a_monitor_are_told_which_call_takes_them():
         jb.parameters(plant, None, [[0.0], [0.0]])
     with pytest.raises(NotImplementedError, match=r"monitor\.parts\['always'\]"):
         jb.margins(jb.monitor(plant), None, [[0.0], [0.0]])
+
+
+def test_in_parts_whoever_judges_which_it_is_compiled_at_once(monkeypatch):
+    """NumPy judges the first samples of a stream: in parts the bytes would depend on who made how many."""
+    asked = []
+    monkeypatch.setattr(monitor, "first_in_numpy", lambda *about: asked.append(is_sparing()) or 0)
+    bank, y = jb.monitor(PLANT, TESTS[:1]), np.zeros((6, 1))
+    recording = Recording.of(bank.model, None, y)
+    judge = Carried(bank, bank.init(), 4, 0, Laps({}))
+    assert len(list(judge((0, recording)))) == 2 and asked == [False, False]
