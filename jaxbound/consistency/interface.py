@@ -757,8 +757,8 @@ def refuse_options(method: str, budget: object, adaptive: bool = False) -> None:
 
 
 Carry = TypeVar("Carry")
-Said = TypeVar("Said", bound=Verdicts)
 """What an observer carries from sample to sample: a PyTree of NumPy arrays and numbers."""
+Said = TypeVar("Said", bound=Verdicts)
 
 
 class Observer(Relations, Generic[Carry]):

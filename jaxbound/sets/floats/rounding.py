@@ -32,6 +32,7 @@ wrote.
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
+from itertools import starmap
 from typing import Any, TypeAlias, cast
 
 import jax
@@ -268,10 +269,11 @@ def nearest_normals(values: Sequence[Whole], dtype: DTypeLike = np.float64) -> n
     """Round rows of rationals to the nearest floats, one below the normal range to the smallest normal number
     of its sign: never to 0.
     """
-    out = np.array([_nearest(x, row.over) for row in values for x in row.numbers], np.float64).astype(dtype)
-    numbers = [x for row in values for x in row.numbers]
+    pairs = [(x, row.over) for row in values for x in row.numbers]
+    out = np.array(list(starmap(_nearest, pairs)), np.float64).astype(dtype)
     for i in np.flatnonzero(abs(out) < tiny(dtype)).tolist():
-        out[i] = ((numbers[i] > 0) - (numbers[i] < 0)) * tiny(dtype)
+        x, _ = pairs[i]
+        out[i] = ((x > 0) - (x < 0)) * tiny(dtype)
     return out
 
 
