@@ -129,6 +129,11 @@ def first_in_numpy(samples: int, count: int, weight: float, kind: Hashable) -> i
     return early
 
 
+def compiles_later() -> bool:
+    """Say whether what NumPy judges first on this thread is to be compiled in the end."""
+    return _mode == AUTO and not is_outside_xla() and _platform() == "cpu"
+
+
 def tried_in_numpy(job: Callable[[], T], work: float, kind: Hashable) -> T | None:
     """Return the result of a job that is worth so many windows of a small test, evaluated in NumPy; None
     where it is to be compiled, or a primitive of it is not written in NumPy.
