@@ -212,7 +212,7 @@ def test_numpy_judges_the_first_searched_windows_whatever_the_pieces(rng, monkey
     assert {jb.Status.CONSISTENT, jb.Status.FAULT} < set(together[0].tolist())
     blocks.clear()
     with monkeypatch.context() as patch:
-        patch.setattr("jaxbound.consistency.drive._left_by_rounding", lambda judged: True)
+        patch.setattr("jaxbound.consistency.drive._decided_all", lambda judged: False)
         again = mon.run(mon.init(), u[:24], y[:24])[1]
     assert len(blocks) == 4, "what rounding leaves open is searched by XLA"
     np.testing.assert_array_equal(again.status, together[0][:24])

@@ -134,14 +134,37 @@ def compiles_later() -> bool:
     return _mode == AUTO and not is_outside_xla() and _platform() == "cpu"
 
 
-def tried_in_numpy(job: Callable[[], T], work: float, kind: Hashable) -> T | None:
+def tried_in_numpy(
+    job: Callable[[], T], work: float, kind: Hashable, believed: Callable[[T], bool] = lambda out: True
+) -> T | None:
     """Return the result of a job that is worth so many windows of a small test, evaluated in NumPy; None
-    where it is to be compiled, or a primitive of it is not written in NumPy.
+    where it is to be compiled, a primitive of it is not written in NumPy, or what comes out is not believed.
     """
     if spared(work, kind):
         with outside_xla(), contextlib.suppress(NotImplementedError):
-            return job()
+            if believed(out := job()):
+                judged_by().add("NumPy")
+                return out
+    judged_by().add("XLA")
     return None
+
+
+def judged_by() -> set[str]:
+    """Return where this thread notes who judges, see `noted`."""
+    return getattr(_state, "ways", set())
+
+
+@contextlib.contextmanager
+def noted(ways: set[str] | None = None) -> Iterator[set[str]]:
+    """Collect who judges on this thread until the block ends: NumPy, XLA. ways: where to add them; None: a
+    new set.
+    """
+    before = judged_by()
+    _state.ways = set() if ways is None else ways
+    try:
+        yield _state.ways
+    finally:
+        _state.ways = before
 
 
 def is_outside_xla() -> bool:
