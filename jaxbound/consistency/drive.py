@@ -145,9 +145,9 @@ def windows(
     if is_outside_xla():
         return decided()
     if test.by_kernels:
-        believed: Callable[[Judged], bool] = _decided_all
-        if test.confirms and is_sparing() != UNCOUNTED:  # a window of a stream is looked at again
-            believed = lambda judged: True
+        believed = None
+        if is_sparing() == UNCOUNTED or not test.confirms:  # a window of a stream is looked at again
+            believed = _decided_all
         work = window_count(shape, test.horizon) * test.weight
         tried = tried_in_numpy(decided, work, test.kind, believed)
         if tried is not None:

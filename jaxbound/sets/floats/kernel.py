@@ -135,14 +135,15 @@ def compiles_later() -> bool:
 
 
 def tried_in_numpy(
-    job: Callable[[], T], work: float, kind: Hashable, believed: Callable[[T], bool] = lambda out: True
+    job: Callable[[], T], work: float, kind: Hashable, believed: Callable[[T], bool] | None = None
 ) -> T | None:
     """Return the result of a job that is worth so many windows of a small test, evaluated in NumPy; None
     where it is to be compiled, a primitive of it is not written in NumPy, or what comes out is not believed.
     """
     if spared(work, kind):
         with outside_xla(), contextlib.suppress(NotImplementedError):
-            if believed(out := job()):
+            out = job()
+            if believed is None or believed(out):
                 judged_by().add("NumPy")
                 return out
     judged_by().add("XLA")
@@ -150,14 +151,16 @@ def tried_in_numpy(
 
 
 def judged_by() -> set[str]:
-    """Return where this thread notes who judges, see `noted`."""
+    """Return the set in which this thread notes who judges; it counts where `noted` collects them."""
     return getattr(_state, "ways", set())
 
 
 @contextlib.contextmanager
 def noted(ways: set[str] | None = None) -> Iterator[set[str]]:
-    """Collect who judges on this thread until the block ends: NumPy, XLA. ways: where to add them; None: a
-    new set.
+    """Collect "NumPy", "XLA": by what this thread judges until the block ends.
+
+    Args:
+        ways: the set in which they are collected; None: a new one.
     """
     before = judged_by()
     _state.ways = set() if ways is None else ways
