@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -85,26 +85,6 @@ class WindowChoice(NamedTuple):
         if self.average is not None:
             return f"means of {self.average} in {self.horizon + 1} samples"
         return f"{self.horizon + 1} samples"
-
-
-class RecipeFields(TypedDict, total=False):
-    """The fields of a Recipe as keywords of `fit`."""
-
-    order: int | str
-    delay: int | str
-    direct: bool
-    horizon: int | None
-    lags: Sequence[int] | None
-    average: int | None
-    test: str | None
-    observer: str | ObserverMethod | None
-    disturbances: str | None
-    see: Fault | Sequence[Fault]
-    follow: float | str
-    signals: str | None
-    method: str
-    safety: float
-    held_out: float
 
 
 @readable

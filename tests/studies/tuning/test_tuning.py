@@ -1,5 +1,6 @@
 """Tuned bounds against linear programs and exact rationals, and what must hold whatever the gradient does."""
 
+import inspect
 from fractions import Fraction
 
 import jax
@@ -356,5 +357,6 @@ def test_bounds_that_cannot_explain_are_refused(rng):
         TypeError, match="tune takes no argument 'stepz'; the rare ones are 'bounds', 'weights'"
     ):
         jb.tune(relations(TOLERANT, 1), good, stepz=3)
+    assert inspect.signature(jb.tune).parameters["safety"].default == 1.25
     with pytest.raises(TypeError, match="from parity_relations"):
         jb.tune(jb.redundancy(jb.LinearSystem(**TOLERANT)), good)
