@@ -26,7 +26,7 @@ from jaxbound.studies.identification.fit_result import Fitted
 from jaxbound.studies.identification.following import hindrance
 from jaxbound.studies.identification.orders import settled
 from jaxbound.studies.identification.recipe import AUTO, Recipe, recipe_of
-from jaxbound.studies.identification.records import names_of, parted
+from jaxbound.studies.identification.records import left_out_parts, names_of
 from jaxbound.studies.identification.search import fitted, on_recordings
 from jaxbound.studies.identification.signal_choice import (
     SignalProblem,
@@ -119,7 +119,7 @@ def fit(
     if why and plan.follow != AUTO:
         raise ValueError(f"{why}: leave follow out")
     sentences = on_recordings(training, plan)
-    can_choose = plan.is_open and parted(training.records, plan.held_out, WINDOWS[0].horizon + 1)
+    can_choose = plan.is_open and left_out_parts(training.records, plan.held_out, WINDOWS[0].horizon + 1)
     if can_choose or plan.test is not None:
         model = fitted_bank(training, plan, sentences, report)
     else:

@@ -231,7 +231,7 @@ def recipe_of(recipe: object, fields: Mapping[str, Any]) -> Recipe:
     direct = bool(recipe.direct) or recipe.order == 0
     recipe = dataclasses.replace(recipe, observer=observer, see=see, lags=lags, direct=direct)
     _refuse_together(recipe)
-    numbers = _numbers(recipe)
+    numbers = _numeric_fields(recipe)
     _refuse_faults(recipe)
     return dataclasses.replace(recipe, **numbers)
 
@@ -284,7 +284,7 @@ def _refuse_together(recipe: Recipe) -> None:
         raise ValueError(f"a static model, order 0, is fitted by {KINDS[0]}: leave method out")
 
 
-def _numbers(recipe: Recipe) -> dict[str, Any]:
+def _numeric_fields(recipe: Recipe) -> dict[str, Any]:
     """Return the fields that are numbers, as those of Python; raise ValueError for one out of range."""
     numbers: dict[str, Any] = {}
     for name, (least, end, words) in NUMBERS.items():
