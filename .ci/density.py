@@ -182,11 +182,10 @@ def twice(package):
     """Return the names of classes and of functions that stand in two modules or more."""
     classes, functions = Counter(), Counter()
     for path in sorted(package.rglob("*.py")):
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.ClassDef):
-                classes[node.name] += 1
-            if isinstance(node, FUNCTIONS):
-                functions[node.name] += 1
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        classes.update({node.name for node in body if isinstance(node, ast.ClassDef)})
+        # what `register` and `overload` define anew in a module is one name in it
+        functions.update({node.name for node in body if isinstance(node, FUNCTIONS)})
     return [sorted(name for name, n in names.items() if n > 1) for names in (classes, functions)]
 
 

@@ -97,6 +97,10 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
             ValueError: columns that are not there, infinite numbers, too few rows, an output that stands
                 still; see `jaxbound.fit`.
         """
+        if not isinstance(self.model, LinearSystem | None):
+            raise TypeError(
+                f"model must be a LinearSystem, all of whose tests watch, not {type(self.model).__name__}"
+            )
         rows = self._rows(X, reset=True)
         self._places = self._columns(rows.shape[1])
         if self.model is not None:

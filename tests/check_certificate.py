@@ -8,7 +8,7 @@ from jaxbound.certificates.checker.claim import (
     PRECISIONS,
     SINGLE,
     STATED,
-    claimed,
+    claim_of,
     numbers,
 )
 from jaxbound.certificates.checker.proof import confirm as confirm_claim
@@ -30,4 +30,4 @@ def _shown(c):
     model |= {"averages": c.get("averages", []), "uncertainties": c.get("uncertainties", [])}
     precision = SINGLE if c["floor"] == PRECISIONS[SINGLE][1] else DOUBLE
     model["constant"], every_y = "constant" in c, c.get("all_y", c["y"])
-    return claimed(model, c["u"], every_y, precision, c.get("lags"), c.get("first_state"), c.get("factors"))
+    return claim_of(model, c["u"], every_y, precision, c.get("lags"), c.get("first_state"), c.get("factors"))

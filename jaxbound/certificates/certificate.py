@@ -27,7 +27,7 @@ from jaxbound.certificates.interface import (
     certify,
     nothing_to_explain,
 )
-from jaxbound.certificates.witness import Numbers, Witnessed, every_sample, rows_of
+from jaxbound.certificates.witness import Numbers, Witnessed, every_sample, in_rows
 from jaxbound.exact.linalg import Vector
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.relations.parity import ParityRelation
@@ -83,7 +83,7 @@ class Certificate(Witnessed, WindowCertificate):
         """FAULT or CONSISTENT: what the exact numbers say, also where the method of the detection left it
         UNDECIDED.
         """
-        return _proved(self.factor)
+        return _verdict_of(self.factor)
 
     @cached_property
     def _scale(self) -> Scale:
@@ -217,14 +217,14 @@ class Certificate(Witnessed, WindowCertificate):
             numbers["a"] = h[rows.single :]
         if window.first is not None:
             numbers["x"] = window.of_first(h)
-        numbers["h"] = rows_of(h[: rows.readings], model.p)
+        numbers["h"] = in_rows(h[: rows.readings], model.p)
         numbers["g"] = every_sample(window.horizon, h[rows.readings : rows.single], [Fraction(0)] * model.g)
         numbers["k"] = every_sample(window.horizon, k, [Fraction(0)] * model.m)
         numbers |= {"residual": residual, "width": width, "factor": abs(residual) / width}
         return numbers
 
 
-def _proved(factor: Fraction) -> Status:
+def _verdict_of(factor: Fraction) -> Status:
     """Return the verdict of exact numbers: a window is FAULT where its bounds would have to be wider."""
     if factor > 1:
         return Status.FAULT
@@ -241,7 +241,7 @@ def _(
     best = window.solve()
     if not any(best.h):
         raise nothing_to_explain(at)
-    proved = _proved(best.factor)
+    proved = _verdict_of(best.factor)
     if status not in (None, Status.UNDECIDED, proved):
         raise NotImplementedError(
             f"the verdict of window {at[-1]} rests on more than its samples and bounds: certificates of such "

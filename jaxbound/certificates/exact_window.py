@@ -20,7 +20,7 @@ from typing import ClassVar, NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 
-from jaxbound.certificates.checker.claim import claimed
+from jaxbound.certificates.checker.claim import claim_of
 from jaxbound.certificates.checker.trajectories import limits as checked_limits
 from jaxbound.certificates.checker.words import Document
 from jaxbound.certificates.plain import exact_floats, plain_factors, plain_model, plain_samples
@@ -390,7 +390,7 @@ def window_of(
     for average, bound in zip(plain["averages"], exact_floats(bounds.get("average", ())), strict=True):
         average["bound"] = bound
     inputs, outputs, factors = plain_samples(u[:, : model.m]), plain_samples(y), plain_factors(model, u)
-    claim = claimed(plain, inputs, outputs, str(y.dtype), relations.lags, first, factors)
+    claim = claim_of(plain, inputs, outputs, str(y.dtype), relations.lags, first, factors)
     return kind(model, relations.horizon, claim, exact_floats(y), relations.lags)
 
 

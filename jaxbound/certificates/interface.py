@@ -246,11 +246,11 @@ def explain(result: Judgement, at: Index) -> WindowCertificate:
     status = Status(int(result.status[at]))
     if status == Status.MISSING:
         raise nothing_to_explain(at)
-    return certify(*evidence(result.relations, result, at, status), status=status, at=at)
+    return certify(*explained_window(result.relations, result, at, status), status=status, at=at)
 
 
 @singledispatch
-def evidence(
+def explained_window(
     relations: Relations, result: Judgement, at: Index, status: Status
 ) -> tuple[Any, np.ndarray, np.ndarray]:
     """Return (relations, u, y): the window whose certificate explains the verdict of a Result at an

@@ -36,6 +36,7 @@ from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector, add_multiple, dot, multiply, transpose
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
+from jaxbound.models.window import float_matrices
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.sentence import relation_text
 from jaxbound.sets.floats.status import Status
@@ -232,7 +233,7 @@ def _program(window: LongWindow) -> tuple[float, np.ndarray]:
     from scipy.sparse import csr_array, diags_array, eye_array, hstack, kron, vstack
 
     m, s = window.model, window.horizon
-    A, B, C, D, G, F, D_v = (_floats(m, name) for name in ("A", "B", "C", "D", "G", "F", "D_v"))
+    A, B, C, D, G, F, D_v = float_matrices(m, ("A", "B", "C", "D", "G", "F", "D_v"))
     n, free, g, every = m.n, (s + 1) * (m.n + m.d), s * m.g, eye_array(s + 1)
     inputs, known = np.zeros((s + 1, m.m)), known_inputs(m, window.u)
     inputs.flat[: len(known)] = list(map(float, known))
@@ -265,11 +266,6 @@ def _program(window: LongWindow) -> tuple[float, np.ndarray]:
     upper, lower = np.split(best.ineqlin.marginals, 2)
     h[there] = (upper - lower)[: len(there)] / rad
     return float(best.fun), h
-
-
-def _floats(model: LinearSystem, name: str) -> np.ndarray:
-    rows = getattr(model, name)
-    return np.array([list(map(float, row)) for row in rows]).reshape(len(rows), -1)
 
 
 def _middles(ends: Sequence[Ends]) -> tuple[np.ndarray, np.ndarray]:

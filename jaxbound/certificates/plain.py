@@ -15,7 +15,7 @@ MATRICES = ("A", "B", "C", "D", "G", "F", "D_v")
 
 def plain_model(model: LinearSystem) -> dict[str, Any]:
     """Return the numbers of a LinearSystem, matrices at the middle of its parameters, as
-    `checker.claim.claimed` takes them.
+    `checker.claim.claim_of` takes them.
     """
     plain: dict[str, Any] = {letter: getattr(model, letter) for letter in MATRICES}
     plain |= {"offset_u": model.offset["u"], "offset_y": model.offset["y"]}

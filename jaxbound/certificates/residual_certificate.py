@@ -20,7 +20,7 @@ from jaxbound.certificates.interface import (
 )
 from jaxbound.certificates.plain import exact_floats
 from jaxbound.certificates.witness import Numbers, texts
-from jaxbound.consistency.bisection import BUDGET, search
+from jaxbound.consistency.bisection import BUDGET, search_unknowns
 from jaxbound.relations.residual import Residual
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
@@ -116,7 +116,7 @@ def _(
 ) -> ResidualCertificate:
     if not (np.isfinite(u).all() and np.isfinite(y).all()):
         raise nothing_to_explain(at)
-    paved = search(relations, u[None], y[None], 100 * BUDGET)
+    paved = search_unknowns(relations, u[None], y[None], 100 * BUDGET)
     assert paved.status is not None
     if status is None:
         status = Status(int(paved.status[0]))

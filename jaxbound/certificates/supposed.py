@@ -214,13 +214,13 @@ def _powers(window: ExactWindow, signal: Follower, shares: Sequence[Fraction]) -
         for k, share in enumerate(shares):
             weight = ZERO  # a signal that is missing is an unknown of the window, or says nothing
             if share and own[k] is not None:
-                weight = _weight(window, signal, polynomial, k)
+                weight = _polynomial_at(window, signal, polynomial, k)
             moved.append(weight * share ** (i + 1))
         by_power.append(moved)
     return by_power
 
 
-def _weight(window: ExactWindow, signal: Follower, polynomial: Polynomial, k: int) -> Fraction:
+def _polynomial_at(window: ExactWindow, signal: Follower, polynomial: Polynomial, k: int) -> Fraction:
     """Return the value of a polynomial in recorded columns at a sample."""
     model, total = window.model, ZERO
     columns: dict[str, Fraction | None] = {}

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from jaxbound.certificates.checker.boxes import Parts, box_of, range_of, relations_of
+from jaxbound.certificates.checker.boxes import Parts, box_of, checked_relations, range_of
 from jaxbound.certificates.exact_window import (
     Ends,
     ExactWindow,
@@ -30,7 +30,7 @@ from jaxbound.certificates.interface import (
     certificate_of,
     nothing_to_explain,
 )
-from jaxbound.certificates.witness import Numbers, Witnessed, every_sample, rows_of
+from jaxbound.certificates.witness import Numbers, Witnessed, every_sample, in_rows
 from jaxbound.consistency import parametric_windows
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Vector
@@ -176,7 +176,7 @@ def _shown(r: UncertainRelations) -> list[Numbers]:
         on_inputs = [_flat(r.K, k, j, number) for j in range(r.K.columns)]
         g = every_sample(r.horizon, on_rows[readings:], [nothing] * model.g)
         u = every_sample(r.horizon, on_inputs, [nothing] * model.m)
-        shown.append({"h": rows_of(on_rows[:readings], model.p), "g": g, "k": u})
+        shown.append({"h": in_rows(on_rows[:readings], model.p), "g": g, "k": u})
     return shown
 
 
@@ -243,7 +243,7 @@ class _Proving:
         claim = self.window.claim
         for parameter, bound in zip(claim["uncertainties"], self.bounds, strict=True):
             parameter["bound"] = bound
-        self.parts: list[Parts] = relations_of(claim, _shown(relations))
+        self.parts: list[Parts] = checked_relations(claim, _shown(relations))
         self.numbers, self.box = _numbers(relations), box_of(claim)
         self.size: Vector = tuple(self.box[f"p{k}"][1] for k in self.numbers)
 

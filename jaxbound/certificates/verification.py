@@ -52,7 +52,7 @@ def verify(
         Traceback (most recent call last):
         ValueError: the certificate is about something else: numbers.y[1][0] is 0.8, model and data say 1/2
     """
-    sample, last, count = window_of(document)  # refuses what nobody can check
+    sample, last, count = named_window(document)  # refuses what nobody can check
     document, tested = of_test(document, model)
     recording = Recording.of(tested.recorded, u, y)
     place: tuple[int, ...] = ()
@@ -153,7 +153,7 @@ def _bounds_of_state(x0: Any) -> Matrix:  # an Interval of any kind, from a user
     return cast(Matrix, pairs)
 
 
-def window_of(document: dict[str, Any]) -> tuple[int | list[int], int, int]:
+def named_window(document: dict[str, Any]) -> tuple[int | list[int], int, int]:
     """Return (the sample that a certificate names, the number of its last sample, how many samples its window
     has).
 

@@ -108,7 +108,7 @@ def every_sample(horizon: int, values: Sequence[T], last: Sequence[T]) -> tuple[
     """
     if not last:
         return ((),) * (horizon + 1)
-    rows = rows_of(values, len(last))
+    rows = in_rows(values, len(last))
     if len(rows) == horizon:
         return (*rows, tuple(last))
     return rows
@@ -142,14 +142,14 @@ def _behaviour(w: ExactWindow, z: Vector) -> _Behaviour:
         filled.append(v)
     return _Behaviour(
         state,
-        rows_of(disturbances, model.g) or ((),) * s,
-        rows_of(rest[:free], model.d),
-        rows_of(filled, model.m),
-        rows_of(outputs, model.p),
+        in_rows(disturbances, model.g) or ((),) * s,
+        in_rows(rest[:free], model.d),
+        in_rows(filled, model.m),
+        in_rows(outputs, model.p),
     )
 
 
-def rows_of(values: Sequence[T], width: int) -> tuple[tuple[T, ...], ...]:
+def in_rows(values: Sequence[T], width: int) -> tuple[tuple[T, ...], ...]:
     """Return flat values as rows of that width."""
     if not width:
         return ()

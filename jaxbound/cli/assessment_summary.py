@@ -29,7 +29,7 @@ class AssessmentConclusion(Conclusion):
     @property
     def headline(self) -> str:
         """The counts at the bounds as they are."""
-        return _headline(_first(self.named).score)
+        return _counts_sentence(_first(self.named).score)
 
     def table(self) -> Table:
         """Return the scores of all detectors."""
@@ -101,7 +101,7 @@ def _all_marks(named: Named) -> list[tuple[str, Marks]]:
     return marks
 
 
-def _headline(score: Score) -> str:
+def _counts_sentence(score: Score) -> str:
     """Return the counts at the bounds as they are, in a sentence."""
     parts = []
     if score.healthy:
@@ -146,15 +146,15 @@ def _cells(score: Score) -> tuple[str, ...]:
     return (
         f"{score.factor:g}",
         f"{score.k}/{score.n}",
-        _percent(score.false_share),
+        _percent_or_dash(score.false_share),
         _shown(score.alarms_a_day),
-        _percent(score.missed_share),
+        _percent_or_dash(score.missed_share),
         seen,
-        _delay(score.delay, score.dt),
+        _delay_text(score.delay, score.dt),
     )
 
 
-def _percent(share: float) -> str:
+def _percent_or_dash(share: float) -> str:
     if math.isnan(share):
         return "-"
     return percent(share)
@@ -166,7 +166,7 @@ def _shown(number: float) -> str:
     return f"{number:.3g}"
 
 
-def _delay(samples: float, dt: float | None) -> str:
+def _delay_text(samples: float, dt: float | None) -> str:
     if math.isnan(samples):
         return "-"
     if math.isinf(samples):
@@ -185,7 +185,7 @@ def _case_text(case: Case) -> str:
     if not score.delays:
         return f"{text}; no fault of {score.episodes} is seen"
     seen = f"{len(score.delays)} of {score.episodes} faults seen"
-    return f"{text}; {seen}, median delay {_delay(score.delay, score.dt)}"
+    return f"{text}; {seen}, median delay {_delay_text(score.delay, score.dt)}"
 
 
 def _isolation(one: Assessment) -> str:

@@ -141,7 +141,7 @@ def _sample_table(certificate: AnyCertificate, labels: Sequence[str]) -> list[tu
             if row < len(window.u) and inputs[row] is not None:
                 rows.append((label, name, _reading(window.u[row]), "", "", inputs[row] or ""))
     if isinstance(certificate, Certificate) and certificate.z is None:
-        rows += _bounds_rows(certificate, labels)
+        rows += _disturbance_rows(certificate, labels)
     if title:
         return rows
     return [row[:-1] for row in rows]
@@ -173,7 +173,7 @@ def _coefficient(x: Fraction) -> str | None:
     return six_digits(x)
 
 
-def _bounds_rows(certificate: Certificate, labels: Sequence[str]) -> Iterator[tuple[str, ...]]:
+def _disturbance_rows(certificate: Certificate, labels: Sequence[str]) -> Iterator[tuple[str, ...]]:
     """Yield the disturbances and averages that have a part in the violated relation: they stand behind the
     outputs.
     """

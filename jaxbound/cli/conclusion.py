@@ -50,7 +50,7 @@ class Detected(Conclusion):
             explain = f"jaxbound explain {shlex.quote(str(out))} --at "
         yield from (_counts_row(evidence), _tested_row(evidence), _alarms_row(summary, evidence, explain))
         for name, test in (evidence.tests or {}).items():
-            yield f"test {name}", _test_text(test)
+            yield f"test {name}", _test_verdicts(test)
         if np.isfinite(summary.margin):
             yield _worst_row(summary, evidence)
         if evidence.training:
@@ -111,7 +111,7 @@ def _alarms_row(summary: Summary, evidence: Evidence, explain: str) -> tuple[str
     return "alarms", text
 
 
-def _test_text(test: OfTest) -> str:
+def _test_verdicts(test: OfTest) -> str:
     """Return the verdicts of one test of a monitor."""
     some = [name for name in ORDER if test.counts[name]]
     counts = ", ".join(f"{test.counts[name]} {shown_name(Status[name], test.observes)}" for name in some)

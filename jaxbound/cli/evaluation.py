@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxbound.cli.engine import engine
-from jaxbound.cli.share import opened
+from jaxbound.cli.share import opened_share
 from jaxbound.cli.terminal import door, usable_device
 from jaxbound.cli.window import DetectRun, Step, stated_model, window_relations
 from jaxbound.diagnosis.alarms import Alarm
@@ -52,7 +52,7 @@ class Evaluation:
 
 def evaluate_parts(folder: OutputFolder, step: Step, run: DetectRun) -> Evaluation:
     """Test a Parquet recording chunk by chunk and write everything into the folder of its report."""
-    source, how = opened(run, step)
+    source, how = opened_share(run, step)
     out, relations = run.out, how.relations
     with door():
         run = replace(run, alarm=fitted(run.alarm, relations))

@@ -124,8 +124,8 @@ class FitConclusion(Conclusion):
             "horizon": model.horizon,
             "states": model.n,
             "dt": model.dt,
-            "noise": _by_output(model, model.noise),
-            "resolution": _by_output(model, model.resolution),
+            "noise": _bounds_by_output(model, model.noise),
+            "resolution": _bounds_by_output(model, model.resolution),
             **{name: getattr(check, name) for name in CHECKED},
             "follow": check.follows,
             "average": _average(check),
@@ -236,7 +236,7 @@ def _tried_tests(model: Fitted) -> Iterator[Row]:
         yield f"test: {test.window.text}", text
 
 
-def _by_output(model: Fitted, bounds: Iterable[SupportsFloat]) -> dict[str, float]:
+def _bounds_by_output(model: Fitted, bounds: Iterable[SupportsFloat]) -> dict[str, float]:
     return dict(zip(model.outputs, map(float, bounds), strict=True))
 
 

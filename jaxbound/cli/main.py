@@ -89,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _ended(words: list[str]) -> int:
     """Run a command line; turn what ends it into a sentence and an exit code."""
     try:
-        return _run(_parse(words))
+        return _exit_code_of(_parse(words))
     except SystemExit as e:  # --help, --version
         return e.code if isinstance(e.code, int) else OK
     except Refused as e:
@@ -114,7 +114,7 @@ def _ended(words: list[str]) -> int:
         return INTERNAL
 
 
-def _run(args: argparse.Namespace) -> int:
+def _exit_code_of(args: argparse.Namespace) -> int:
     """Run the command of a command line; return its exit code."""
     with swift_imports():
         from jaxbound.sets.floats.probe import Unverified
@@ -122,7 +122,7 @@ def _run(args: argparse.Namespace) -> int:
         _configure()
     loudness = LOUDNESS.set(args.loudness)
     try:
-        with _log(args.loudness):
+        with _keep_log(args.loudness):
             code: int = args.run(args)
         return code
     except Unverified as e:
@@ -183,7 +183,7 @@ def _parsers() -> tuple[Parser, dict[str, Parser]]:
 
 
 @contextmanager
-def _log(loudness: int) -> Iterator[None]:
+def _keep_log(loudness: int) -> Iterator[None]:
     """Keep the log of work that takes long from who asked for the conclusion alone."""
     if loudness != QUIET:
         yield

@@ -56,7 +56,7 @@ class ModelConclusion(Conclusion):
         yield "inputs", f"{model.m}: {_signals_text(model, model.inputs)}"
         yield "outputs", f"{model.p}: {_signals_text(model, model.outputs)}"
         yield "dt", f"{model.dt:g} s"
-        yield "matrices", f"{_matrices_text(model)}   {_origin(model, 'model')}"
+        yield "matrices", f"{_matrices_text(model)}   {_origin_in_brackets(model, 'model')}"
         yield from _bounds_rows(model)
         yield "offset", _nonzero_text(model.inputs + model.outputs, offsets)
         for name, column in model.columns.items():
@@ -108,7 +108,7 @@ class ModelConclusion(Conclusion):
         }
         is_known = not model.uncertainties and not any(model.tolerance) and not model.factors
         if is_known and _seconds(model, relations.horizon) <= PATIENCE:
-            sizes = _guaranteed(model, relations.horizon, relations.lags)
+            sizes = _guaranteed_sizes(model, relations.horizon, relations.lags)
             plain["guaranteed"] = sizes
         if model.faults:
             apart = _named(model, relations)
@@ -198,14 +198,14 @@ def _bounds_rows(model: LinearSystem) -> Iterator[Row]:
     """Yield a row for each kind of bound."""
     for kind in SENSOR_BOUNDS:
         values = _nonzero_text(model.outputs, getattr(model, kind))
-        yield kind, f"{values}   {_origin(model, kind)}".rstrip()
+        yield kind, f"{values}   {_origin_in_brackets(model, kind)}".rstrip()
     for factor in model.factors:
         yield f"noise of {factor.output}", f"times {factor.text}"
     if model.g:
         ranges = []
         for j, (lo, hi) in enumerate(model.disturbance):
             ranges.append(f"w{j + 1} in [{float(lo):.6g}, {float(hi):.6g}]")
-        yield "disturbance", f"{', '.join(ranges)}   {_origin(model, 'disturbance')}"
+        yield "disturbance", f"{', '.join(ranges)}   {_origin_in_brackets(model, 'disturbance')}"
     for a in model.averages:
         yield "average", f"{a.text} within {float(a.bound):.6g}"
     if model.d:
@@ -222,7 +222,7 @@ def _nonzero_text(names: Sequence[str], values: Sequence[Fraction]) -> str:
     return ", ".join(texts) or "none"
 
 
-def _origin(model: LinearSystem, field: str) -> str:
+def _origin_in_brackets(model: LinearSystem, field: str) -> str:
     """Return the provenance of a field in brackets; of bounds that are 0 throughout there is none."""
     origin = model.provenance.get(field)
     if origin:
@@ -275,7 +275,7 @@ def _seconds(model: LinearSystem, horizon: int) -> float:
     return len(signals) * (elimination_seconds(model, model.n, unknown=1) + relation_cost(model, horizon)[0])
 
 
-def _guaranteed(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None) -> dict[str, float]:
+def _guaranteed_sizes(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None) -> dict[str, float]:
     """Return {signal: size} of the constant faults that fill a window and are detected whatever else
     happens.
     """
@@ -340,6 +340,6 @@ def _sizes(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None) -> l
         f"a constant fault that fills a window of {samples} samples is detected, whatever else happens, from "
         f"this size on:"
     ]
-    for name, size in _guaranteed(model, horizon, lags).items():
+    for name, size in _guaranteed_sizes(model, horizon, lags).items():
         lines.append(f"{name}: {_amount(model, name, size)}")
     return lines

@@ -389,7 +389,7 @@ def share(text: str) -> float:
     return number
 
 
-def interval(text: str) -> str:
+def clock_interval(text: str) -> str:
     """Return an interval of the clock as it is written."""
     from jaxbound.recordings.clockintervals import seconds_of
 
@@ -404,7 +404,7 @@ def apart(text: str) -> int | str:
     """Return the distance of alarms in samples, or an interval of the clock as it is written."""
     if _is_whole(text):
         return whole_number(0)(text)
-    return interval(text)
+    return clock_interval(text)
 
 
 def sizes(text: str) -> "float | dict[str, float]":
@@ -439,7 +439,7 @@ def lags(text: str) -> tuple[int, ...]:
 
 READERS: dict[str, Callable[[str], object]] = {
     "alarm": some_of("k", "3/5"),
-    "every": interval,
+    "every": clock_interval,
     "horizon": whole_number(),
     "lags": lags,
     "least": sizes,

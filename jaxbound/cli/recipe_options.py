@@ -39,7 +39,7 @@ def recipe_fields(args: argparse.Namespace) -> tuple[Path | None, dict[str, Any]
     """
     options = [(name, str(getattr(args, name))) for name in _options(args)]
     if args.recipe.endswith(".toml"):
-        return Path(args.recipe), _values(options)
+        return Path(args.recipe), _field_values(options)
     entries: list[tuple[str, str]] = []
     for part in filter(None, args.recipe.split(",")):
         name, equals, text = part.partition("=")
@@ -49,10 +49,10 @@ def recipe_fields(args: argparse.Namespace) -> tuple[Path | None, dict[str, Any]
             entries[-1] = entries[-1][0], f"{entries[-1][1]},{part}"
         else:
             raise ValueError(f"--recipe needs fields, like order=1,horizon=30, or a model file: not {part!r}")
-    return None, _values([*entries, *options])
+    return None, _field_values([*entries, *options])
 
 
-def _values(entries: Sequence[tuple[str, str]]) -> dict[str, Any]:
+def _field_values(entries: Sequence[tuple[str, str]]) -> dict[str, Any]:
     """Return {field: value} of texts.
 
     Raises:
@@ -68,10 +68,10 @@ def _values(entries: Sequence[tuple[str, str]]) -> dict[str, Any]:
 
 def _value(name: str, text: str) -> object:
     """Return the value of a field: faults, a truth, a number, numbers with commas, or a word."""
-    from jaxbound.cli.tradeoff_table import wanted
+    from jaxbound.cli.tradeoff_table import wanted_faults
 
     if name == "see":
-        return wanted(text)
+        return wanted_faults(text)
     if "," in text:
         return tuple(_value(name, part) for part in text.split(","))
     try:

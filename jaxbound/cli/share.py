@@ -14,8 +14,8 @@ from jaxbound.recordings.read import open_source
 from jaxbound.runs.outputs import shared_folder
 from jaxbound.runs.parts import part_files
 from jaxbound.runs.refusals import Interrupted
-from jaxbound.runs.shares import numbers_of
-from jaxbound.runs.streaming import CHUNK, Asked, part_count, samples_of, write_parts
+from jaxbound.runs.shares import part_numbers
+from jaxbound.runs.streaming import CHUNK, Asked, part_count, sample_range, write_parts
 
 
 def judge_share(run: DetectRun, part: tuple[int, int]) -> int:
@@ -30,9 +30,9 @@ def judge_share(run: DetectRun, part: tuple[int, int]) -> int:
         shared_folder(run.out, (PARTIAL,), (run.model, run.data)),
         progress_bars(("relations", "test")) as step,
     ):
-        source, how = opened(run, step)
+        source, how = opened_share(run, step)
         count = part_count(source)
-        mine = numbers_of(part, count)
+        mine = part_numbers(part, count)
         try:
             progress = lambda share: step("test", share)
             _, seconds = write_parts(how, source, run.out, progress, part)
@@ -45,7 +45,7 @@ def judge_share(run: DetectRun, part: tuple[int, int]) -> int:
                 raise Interrupted(said) from None
             raise
     files = part_files(where, mine)
-    first, last = samples_of(mine, source)
+    first, last = sample_range(mine, source)
     if run.json:
         found = {
             "part": name,
@@ -75,7 +75,7 @@ def judge_share(run: DetectRun, part: tuple[int, int]) -> int:
     return OK
 
 
-def opened(run: DetectRun, step: Step) -> tuple[Any, Asked]:
+def opened_share(run: DetectRun, step: Step) -> tuple[Any, Asked]:
     """Return (Source, its test) of what is to be tested chunk by chunk."""
     options = run.options
     stated = stated_model(run.model, options.every)

@@ -84,8 +84,8 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.studies.montecarlo.montecarlo import study
 
     sizes = _sizes(args.sizes)
-    ranges = _pairs("--input-range", args.input_range)
-    onset = _onset(args.onset)
+    ranges = _ranges_in("--input-range", args.input_range)
+    onset = _onset_range(args.onset)
     faults = [_fault_text(fault) for fault in parted(args.faults) if fault]
     stages = progress_bars(("relations", "study", "report"))
     with (
@@ -186,9 +186,9 @@ def _sizes(text: str | None) -> list[float] | None:
         ) from None
 
 
-def _onset(text: str | None) -> tuple[int, int] | None:
+def _onset_range(text: str | None) -> tuple[int, int] | None:
     """Read the first and last sample of an onset: lo:hi."""
-    pairs = _pairs("--onset", text)
+    pairs = _ranges_in("--onset", text)
     if pairs is None:
         return None
     if len(pairs) > 1 or not all(x.is_integer() for x in pairs[0]):
@@ -197,7 +197,7 @@ def _onset(text: str | None) -> tuple[int, int] | None:
     return int(low), int(high)
 
 
-def _pairs(option: str, text: str | None) -> list[tuple[float, ...]] | None:
+def _ranges_in(option: str, text: str | None) -> list[tuple[float, ...]] | None:
     """Read lo:hi, or several such pairs with commas."""
     if text is None:
         return None

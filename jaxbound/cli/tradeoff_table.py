@@ -11,14 +11,14 @@ from jaxbound.studies.identification.fit_result import Fitted
 from jaxbound.text.quantities import decimal
 
 
-def wanted(text: str) -> tuple[Fault, ...]:
+def wanted_faults(text: str) -> tuple[Fault, ...]:
     """Return the faults of --see.
 
     Raises:
         ValueError: an entry that is not signal:kind:size.
 
     Example:
-        >>> wanted("T1:bias:2, `flow, cold`:drift:0.05")[1].signal
+        >>> wanted_faults("T1:bias:2, `flow, cold`:drift:0.05")[1].signal
         'flow, cold'
     """
     faults = []

@@ -38,7 +38,7 @@ def evaluate_validation(work: Path, step: Step, run: DetectRun) -> Evaluation:
                 f"--lags is for other methods: {VALIDATION} takes every sample of a recording in turn"
             )
         horizon = least_horizon(plant.n, plant.p) if options.horizon is None else options.horizon
-        _complete(data, recording, horizon)
+        _refuse_incomplete(data, recording, horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
         res, sinks = _validated(plant, recording, horizon), open_sinks(work)
@@ -79,7 +79,7 @@ def _validated(model: LinearSystem, recording: Recording, horizon: int) -> Valid
     return Validated(model, horizon, recording.y, jax.tree.map(np.asarray, found), recording.aside(horizon))
 
 
-def _complete(data: Path | str, recording: Recording, horizon: int) -> None:
+def _refuse_incomplete(data: Path | str, recording: Recording, horizon: int) -> None:
     """Raise ValueError if a sample that validation cannot do without is missing; where nothing is known there
     is a gap, which it can.
     """

@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     """
     with swift_imports():
         from jaxbound.certificates.checker.script import CONFIRMED, NOT_CONFIRMED, REFUSED, load
-        from jaxbound.certificates.verification import of_test, verify, window_of
+        from jaxbound.certificates.verification import named_window, of_test, verify
         from jaxbound.cli.window import stated_model
         from jaxbound.recordings.read import open_source
 
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         _, tested = of_test(document, model)
         with door():
             source = open_source(args.data, tested.recorded)
-        _, last, count = window_of(document)
+        _, last, count = named_window(document)
         begin = last + 1 - count
         if begin < 0 or (source.samples is not None and last >= source.samples):
             raise ValueError(

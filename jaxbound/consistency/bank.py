@@ -14,7 +14,7 @@ from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.consistency.strips_on_host import HostStrips, host_strips
 from jaxbound.consistency.unproved import stretch_block
-from jaxbound.consistency.whole_numbers import exact_strips
+from jaxbound.consistency.whole_numbers import exact_strip_margins
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
@@ -106,7 +106,7 @@ class BankTest(LinearTest):
                 continue
             windows = gather(u, y, at[open_] - s, self.lags, s)
             strip = r.W[number : number + 1], r.K[number : number + 1]
-            open_ = open_[~(exact_strips(r, self._exact_reading, strip, *windows) < 0)]
+            open_ = open_[~(exact_strip_margins(r, self._exact_reading, strip, *windows) < 0)]
             flat[word, at[open_]] ^= np.uint32(Status.FAULT ^ Status.UNDECIDED) << shift
             doubtful[open_] = True
         status = status_of_words(words, r.count)

@@ -140,7 +140,7 @@ class BisectionTest(WindowTest):
 
     def _judged(self, U: np.ndarray, Y: np.ndarray) -> np.ndarray:
         """Return the status of windows (N, s + 1, channels): FAULT where NumPy excludes all unknowns."""
-        status = np.array(search(self.relations, U, Y, self.budget).status)
+        status = np.array(search_unknowns(self.relations, U, Y, self.budget).status)
         outside = np.flatnonzero(status == Status.FAULT)
         if len(outside):
             status[outside] = Status.UNDECIDED
@@ -163,7 +163,7 @@ def whole_budget(budget: object) -> int:
     return int(budget)
 
 
-def search(relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget: int) -> Paving:
+def search_unknowns(relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget: int) -> Paving:
     """Search for unknowns that explain each window."""
     return _paved(relations, flat(frozen(relations.f)), (U, Y), budget, solutions="one", cut="smear")
 

@@ -43,17 +43,17 @@ def unclaimed(judged: Claims, departure: Departure) -> Claims:
     each test of a monitor, too.
     """
     out = departure.share > 0
-    changed: dict[str, Any] = {"status": _undecided(judged.status, out)}
+    changed: dict[str, Any] = {"status": _undecided_where(judged.status, out)}
     words = judged.words
     if words is not None:
         changed["words"] = np.where(out, _without_fault(words), words)
     if getattr(judged, "statuses", None) is not None:  # of a monitor
-        changed["statuses"] = _undecided(judged.statuses, out[..., None])
+        changed["statuses"] = _undecided_where(judged.statuses, out[..., None])
     claims: Claims = judged._replace(**changed)
     return claims
 
 
-def _undecided(status: np.ndarray, out: np.ndarray) -> np.ndarray:
+def _undecided_where(status: np.ndarray, out: np.ndarray) -> np.ndarray:
     """Return statuses, UNDECIDED in place of FAULT where `out` says."""
     return np.where(out & (status == Status.FAULT), np.int8(Status.UNDECIDED), status)
 

@@ -23,7 +23,7 @@ T = TypeVar("T")
 def everywhere(constants: T, devices: Sequence[jax.Device]) -> T:
     """Return a PyTree of arrays placed on each of the devices, as `on_devices` takes it."""
     if len(devices) > 1:
-        where: NamedSharding | jax.Device | None = NamedSharding(_mesh(devices), _spec(0))
+        where: NamedSharding | jax.Device | None = NamedSharding(_mesh(devices), _sharding(0))
     elif default_device() is None:  # not committed to a device: JAX still chooses
         where = None
     else:
@@ -73,7 +73,7 @@ def _all(kernel: Callable[..., T], mesh: Mesh, axis: int, constants: object, *st
     """Run a kernel on blocks that are stacked along an axis, a block on each device."""
 
     def spec(x: jax.Array | jax.ShapeDtypeStruct) -> PartitionSpec:
-        return _spec(x.ndim, axis)
+        return _sharding(x.ndim, axis)
 
     blocks = []
     for x in stacked:
@@ -84,7 +84,7 @@ def _all(kernel: Callable[..., T], mesh: Mesh, axis: int, constants: object, *st
     alone = jax.shard_map(
         kernel,
         mesh=mesh,
-        in_specs=(_spec(0), *map(spec, stacked)),
+        in_specs=(_sharding(0), *map(spec, stacked)),
         out_specs=jax.tree.map(spec, result),
         check_vma=False,
     )
@@ -103,11 +103,11 @@ def _stacked(parts: Sequence[Array], mesh: Mesh, axis: int) -> jax.Array:
     shape[axis] *= len(devices)
     placed = jax.device_put(list(parts), devices)
     return jax.make_array_from_single_device_arrays(
-        tuple(shape), NamedSharding(mesh, _spec(len(shape), axis)), placed
+        tuple(shape), NamedSharding(mesh, _sharding(len(shape), axis)), placed
     )
 
 
-def _spec(ndim: int, axis: int = 0) -> PartitionSpec:
+def _sharding(ndim: int, axis: int = 0) -> PartitionSpec:
     """Return the sharding of arrays of so many dimensions along an axis; 0: whole on each device."""
     names: list[str | None] = [None] * ndim
     if ndim:

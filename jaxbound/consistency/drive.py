@@ -306,7 +306,7 @@ def _stretches(
 
     for i in range(0, len(firsts), len(devices)):
         chosen = firsts[i : i + len(devices)]
-        blocks = [(_padded(u, first, size + s), _padded(y, first, size + s)) for first in chosen]
+        blocks = [(_rows_from(u, first, size + s), _rows_from(y, first, size + s)) for first in chosen]
         pending.append((chosen, test.judge(run, blocks)))
         if len(pending) >= AHEAD:
             collect(*pending.popleft())
@@ -543,7 +543,7 @@ def _placed(test: WindowTest, devices: Devices) -> object:
     return test.placed[devices]
 
 
-def _padded(x: np.ndarray, first: int, length: int) -> np.ndarray:
+def _rows_from(x: np.ndarray, first: int, length: int) -> np.ndarray:
     """Return a fixed number of rows from the first on, NaN where there are none."""
     part = x[first : first + length]
     if len(part) == length:

@@ -16,7 +16,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.check import contradicted_by
-from jaxbound.consistency.holes import HolesTest, exact_margins
+from jaxbound.consistency.holes import HolesTest, whole_margins
 from jaxbound.consistency.interface import (
     Arrays,
     Cases,
@@ -127,7 +127,7 @@ class ExchangeTest(SignedTest):
         """
         ones = [np.ones(y.shape[-1], self.dtype) for _, y in blocks]
         searched = run(candidates, [(one, *block) for one, block in zip(ones, blocks, strict=True)])
-        proved = run(verdicts, [(one, *hints) for one, hints in zip(ones, searched, strict=True)])
+        proved = run(proved_margins, [(one, *hints) for one, hints in zip(ones, searched, strict=True)])
         judged = []
         for (h, *_), (margin, settled) in zip(searched, proved, strict=True):
             judged.append((margin, ~np.asarray(settled), h))
@@ -172,7 +172,7 @@ class ExchangeTest(SignedTest):
             return margin
         at = np.flatnonzero(finite(*self._gather(u, y, starts)))
         windows = gather(u, y, starts[at], self.lags, self.horizon)
-        margin[at] = exact_margins(self.relations, self.reading, *windows)
+        margin[at] = whole_margins(self.relations, self.reading, *windows)
         return margin
 
     def _gather(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Block:
@@ -212,7 +212,7 @@ def imaged(reading: Reading, one: jax.Array, u: jax.Array, y: jax.Array) -> sepa
 
 
 @kernel
-def verdicts(
+def proved_margins(
     reading: Reading, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array, *image: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Return (margin, settled) of the windows of a block, proved from the `candidates` of a search."""

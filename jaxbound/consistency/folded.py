@@ -100,7 +100,7 @@ def _factors(reading: Reading) -> jax.Array:
 def _strips(reading: Reading, u: Columns, y: Columns) -> Iterator[_Strip]:
     """Yield the strips of all circuits, NaN where one needs what windows do not look at."""
     strips, dtype = reading.strips, y[0][0].dtype
-    top, rows, inputs = np.finfo(dtype).max, _rows(reading, u, y), _inputs(reading, u)
+    top, rows, inputs = np.finfo(dtype).max, _window_rows(reading, u, y), _inputs(reading, u)
     assert strips.supports is not None and strips.inputs is not None
     for c, support in enumerate(strips.supports):
         if not all(reading.window.all[i].seen for i in support):
@@ -139,11 +139,11 @@ def _of_samples(term: tuple[jax.Array, _Row]) -> bool:
     return term[1].mid.ndim > 0
 
 
-def _rows(reading: Reading, u: Columns, y: Columns) -> list[_Row]:
+def _window_rows(reading: Reading, u: Columns, y: Columns) -> list[_Row]:
     """Return the rows of windows, those they look at."""
     dtype, factors = y[0][0].dtype, _factors(reading)
     shares = jnp.maximum(reading.tolerance / (1 + reading.tolerance), rounding.tiny(dtype))
-    errors = [_errors(reading, u, y, i) for i in range(len(y[0]))]
+    errors = [_sensor_errors(reading, u, y, i) for i in range(len(y[0]))]
     rows = []
     for row in reading.window.all:
         i = row.number
@@ -159,7 +159,7 @@ def _rows(reading: Reading, u: Columns, y: Columns) -> list[_Row]:
     return rows
 
 
-def _errors(reading: Reading, u: Columns, y: Columns, i: int) -> list[jax.Array]:
+def _sensor_errors(reading: Reading, u: Columns, y: Columns, i: int) -> list[jax.Array]:
     """Return rho (N,) of an output at each sample of windows: noise, resolution and what the recorder rounded
     away; a missing sample is no larger than 0.
     """

@@ -107,7 +107,7 @@ class _Found(NamedTuple):
     idle: np.ndarray
 
 
-def exact_margins(relations: LinearRelations, reading: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+def whole_margins(relations: LinearRelations, reading: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return (N,) margins of windows u (lags, m, N), y (s + 1, p, N) in whole numbers: > 0 inside, < 0
     outside, both proved; 0 where no search came near enough, NaN where no relation has its data.
 
@@ -215,14 +215,14 @@ def refuted(image: HostImage, frame: ExactFrame, h: np.ndarray, telling: np.ndar
             reach = _reach(image.hull, telling, free)
         outside = contradicted(image, h, reach)
     for w in np.flatnonzero(lacking & ~outside):
-        own = _exactly(image, frame, h[:, w], telling[w], free[w], int(w))
+        own = _exact_combination(image, frame, h[:, w], telling[w], free[w], int(w))
         if own is not None:
             one = slice(w, w + 1)
             outside[one] = contradicted(image.of_windows(one), own[:, None], np.zeros((1, 1)))
     return outside
 
 
-def _exactly(
+def _exact_combination(
     image: HostImage, frame: ExactFrame, h: np.ndarray, telling: np.ndarray, free: np.ndarray, w: int
 ) -> np.ndarray | None:
     """Return the combination near h (c,) in which every unknown without bounds cancels exactly, None where

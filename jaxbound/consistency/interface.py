@@ -472,9 +472,12 @@ def relations_of(
             its file; None: the verb takes none.
 
     Raises:
-        TypeError: given is neither. What `watched` raises.
+        TypeError: given is neither, or a monitor where one test is needed. What `watched` raises.
     """
     if isinstance(given, Relations):
+        if given.parts and not monitors:
+            one = example.replace("parity_relations(model)", f"monitor.parts[{next(iter(given.parts))!r}]")
+            raise TypeError(f"{verb} takes one test, not a monitor of several: {one}")
         return given
     is_plant = hasattr(given, "A") or isinstance(given, str | PathLike)
     if is_plant and watched is not None:
@@ -881,7 +884,9 @@ class Observer(Relations, Generic[Carry]):
         """
         known = method in (METHODS[0], self.method)
         if not known or budget is not None:
-            raise ValueError("an observer takes neither method nor budget: they belong to windows")
+            raise ValueError(
+                "an observer or a monitor takes neither method nor budget: they belong to windows"
+            )
         return self
 
     def margins(self, given: Recording) -> jax.Array:

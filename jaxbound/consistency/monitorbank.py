@@ -275,13 +275,6 @@ class MonitorBank(Observer[BankState]):
         with where_proofs_hold(compiled=False):
             return self.fold(carry, piece)
 
-    def margins(self, given: Recording) -> jax.Array:
-        """Raise NotImplementedError: each test has its own."""
-        raise NotImplementedError(
-            f"margins are those of one test: margins(monitor.parts[{self.names[0]!r}], u, y); "
-            f"detect(monitor, ..).margin has the least of all"
-        )
-
     @property
     def conditions_of(self) -> tuple[int, ...]:
         """The number of the condition of each test, -1 of a test that always watches."""

@@ -20,7 +20,7 @@ from jaxbound.consistency.parametric_windows import (
     SEARCHED,
     Leaves,
     middle_of,
-    refuted,
+    refuted_boxes,
     samples_of,
     terms_of,
 )
@@ -29,7 +29,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.kernel import kernel
-from jaxbound.sets.paving.frontier import in_blocks
+from jaxbound.sets.paving.frontier import judged_in_blocks
 from jaxbound.sets.strips import polynomials, varying
 
 PAIRS = 2**11
@@ -117,12 +117,12 @@ class PolynomialBoxes(ParameterBoxes):
             h = direction(c, G, terms.error)
             return _refutes(c, G, terms.error, h), h, lean
 
-        margin, h, lean = in_blocks(one, lo, hi, window, size)
+        margin, h, lean = judged_in_blocks(one, lo, hi, window, size)
         return Look(np.nan_to_num(margin, nan=1.0), h, lean)
 
     def refuted(self, leaves: Leaves) -> np.ndarray:
         """Return (K,) bool: in which boxes a direction refutes a window, in NumPy from the samples."""
-        return refuted(self.reading, self._samples, leaves)
+        return refuted_boxes(self.reading, self._samples, leaves)
 
     def units(self, lo: np.ndarray, hi: np.ndarray) -> Ends:
         """Return lo, hi (N, q) of the parameters of boxes (n, N) in their units, rounded outward."""

@@ -21,7 +21,7 @@ from jaxbound.sets.floats.kernel import kernel, outside_xla
 from jaxbound.sets.inclusion.functions import forgets, frozen
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.sets.paving.existence import components
-from jaxbound.sets.paving.frontier import in_blocks
+from jaxbound.sets.paving.frontier import judged_in_blocks
 
 PAIRS = 2**12
 """Pairs of a box and a window at once."""
@@ -54,7 +54,7 @@ class ResidualBoxes(ParameterBoxes):
 
     def looked(self, lo: np.ndarray, hi: np.ndarray, window: np.ndarray, closely: bool) -> Look:
         """Return the Look of windows (P,) on boxes (n, P); it needs no directions."""
-        (margin,) = in_blocks(self._margin, lo, hi, window, PAIRS)
+        (margin,) = judged_in_blocks(self._margin, lo, hi, window, PAIRS)
         return Look(margin, np.zeros((0, len(window))), np.ones_like(lo))
 
     def refuted(self, leaves: Leaves) -> np.ndarray:
@@ -63,7 +63,7 @@ class ResidualBoxes(ParameterBoxes):
         # a primitive of a newer jax, which NumPy does not know, refutes nothing
         with outside_xla(), contextlib.suppress(NotImplementedError):
             if len(out):
-                (margin,) = in_blocks(self._margin, leaves.lo, leaves.hi, leaves.owner, SEARCHED)
+                (margin,) = judged_in_blocks(self._margin, leaves.lo, leaves.hi, leaves.owner, SEARCHED)
                 out = np.asarray(margin < 0)
         return out
 

@@ -34,7 +34,7 @@ from jaxbound.consistency.parametric_windows import (
     by_vertices,
     cases,
     finite,
-    refuted,
+    refuted_boxes,
     terms_of,
 )
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
@@ -170,7 +170,7 @@ class ParametricTest(WindowTest):
             doubtful = at[np.asarray(again)[: len(at)] != Status.FAULT]
         else:
             leaves = leaves.chosen(fault[leaves.owner])
-            doubtful = leaves.owner[~refuted(self.reading, samples, leaves)]
+            doubtful = leaves.owner[~refuted_boxes(self.reading, samples, leaves)]
         if len(doubtful):
             status[doubtful] = Status.UNDECIDED
             warn_doubtful(f"{len(np.unique(doubtful))} windows of a block are FAULT by XLA")

@@ -39,13 +39,13 @@ def parametric_margins(relations: PolynomialRelations, u: Array, y: Array) -> ja
         found: Array | float = 0.0
         if case is not None and len(own):
             reading = case.reading(y.dtype)
-            smooth = partial(_smooth_margins, reading, by_vertices(case))
+            smooth = partial(_vertex_margins, reading, by_vertices(case))
             found = over_blocks(smooth, reading, jnp.asarray(u), jnp.asarray(y), starts[own], SEARCHED)
         out = out.at[starts[own] + s].set(found)
     return out.reshape(shape)
 
 
-def _smooth_margins(reading: PolynomialReading, vertices: bool, u: jax.Array, y: jax.Array) -> jax.Array:
+def _vertex_margins(reading: PolynomialReading, vertices: bool, u: jax.Array, y: jax.Array) -> jax.Array:
     """Return 1 - gauge (N,) of windows u (lags, m, N), y (s + 1, p, N), with derivatives; a missing sample
     that matters gives NaN.
     """

@@ -28,7 +28,7 @@ from jaxbound.consistency.polynomial_reading import PolynomialReading, Polynomia
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.sets.floats.kernel import kernel, outside_xla
 from jaxbound.sets.floats.status import Status
-from jaxbound.sets.paving.frontier import Verdicts, explore, in_blocks
+from jaxbound.sets.paving.frontier import Verdicts, explore, judged_in_blocks
 from jaxbound.sets.strips import polynomials, varying
 
 BLOCK = 2**11
@@ -300,7 +300,7 @@ def bisected(
         return *concluded(reading, own, image, hints, proved), *hints
 
     def judge(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[np.ndarray]:
-        margin, found, h, start, axis = in_blocks(on_boxes, lo, hi, owner, size)
+        margin, found, h, start, axis = judged_in_blocks(on_boxes, lo, hi, owner, size)
         levels.append((margin, start))
         leaves.append(Leaves(owner, lo, hi, h).chosen(margin < 0))
         return Verdicts(~(margin < 0) & ~found, found, (start, start), None, axis)
@@ -321,7 +321,7 @@ def bisected(
     return status, margin, every, points
 
 
-def refuted(reading: PolynomialReading, samples: Block, leaves: Leaves) -> np.ndarray:
+def refuted_boxes(reading: PolynomialReading, samples: Block, leaves: Leaves) -> np.ndarray:
     """Return (K,) bool: in which boxes of windows (their samples on the last axis) a direction refutes them,
     in NumPy from the samples.
     """
@@ -334,5 +334,5 @@ def refuted(reading: PolynomialReading, samples: Block, leaves: Leaves) -> np.nd
     if not len(leaves.owner):
         return np.zeros(0, bool)
     with outside_xla():
-        (margin,) = in_blocks(refuting, leaves.lo, leaves.hi, np.arange(len(leaves.owner)), SEARCHED)
+        (margin,) = judged_in_blocks(refuting, leaves.lo, leaves.hi, np.arange(len(leaves.owner)), SEARCHED)
     return np.asarray(margin < 0)

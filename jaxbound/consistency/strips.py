@@ -14,7 +14,7 @@ from jaxbound.consistency.interface import Arrays, LinearTest, Outs, Progress, R
 from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.strips_on_host import HostStrips, host_strips
 from jaxbound.consistency.unproved import stretch_block, unproved_margins
-from jaxbound.consistency.whole_numbers import BLOCK, exact_strips, thin
+from jaxbound.consistency.whole_numbers import BLOCK, exact_strip_margins, thin
 from jaxbound.exact.linalg import Matrix
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import kernel
@@ -66,7 +66,7 @@ class StripsTest(LinearTest):
         for first in range(0, len(starts), BLOCK):
             part = slice(first, first + BLOCK)
             windows = gather(u, y, starts[part], self.lags, self.horizon)
-            margins[part] = exact_strips(self.relations, self.reading, self._exact, *windows)
+            margins[part] = exact_strip_margins(self.relations, self.reading, self._exact, *windows)
             progress(min(first + BLOCK, len(starts)) / len(starts))
         return margins
 

@@ -68,7 +68,7 @@ def _least_factors(reading: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray
     return least
 
 
-def exact_strips(
+def exact_strip_margins(
     relations: LinearRelations, reading: Reading, strips: tuple[Matrix, Matrix], u: np.ndarray, y: np.ndarray
 ) -> np.ndarray:
     """Return (N,) margins: > 0 inside, < 0 outside, both proved; 0: a missing input silences a strip; NaN: no

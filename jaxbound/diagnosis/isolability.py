@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, overload
 
-from jaxbound.certificates.checker.claim import claimed
+from jaxbound.certificates.checker.claim import claim_of
 from jaxbound.certificates.diagnosis import amount
 from jaxbound.certificates.exact_window import Ends, ExactWindow
 from jaxbound.certificates.fault_size import Scale
@@ -228,7 +228,7 @@ def _difference(model: LinearSystem, horizon: int, lags: tuple[int, ...] | None)
         values.append(max(model.ranges.get(name, (ZERO,)), key=abs))
     samples, nothing = horizon + 1, [ZERO] * model.p
     plain = plain_model(model) | {"tolerance": nothing}
-    claim = claimed(plain, [values] * samples, [nothing] * samples, lags=lags)
+    claim = claim_of(plain, [values] * samples, [nothing] * samples, lags=lags)
     window = ExactWindow(model, horizon, claim, (), lags)
     rows = window.rows
     ends: list[Ends | None] = [None] * len(list(rows))

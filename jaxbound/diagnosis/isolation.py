@@ -18,7 +18,7 @@ from jaxbound.certificates.interface import WindowCertificate
 from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.detectability import OperatingRange, visible_sizes
 from jaxbound.diagnosis.result import Result, result_of
-from jaxbound.recordings.arrays import floats
+from jaxbound.recordings.arrays import float_array
 from jaxbound.recordings.expressions import find_column
 from jaxbound.recordings.sample_axis import Place
 from jaxbound.recordings.table import Data, as_table, is_table
@@ -178,7 +178,7 @@ def evaluate(residuals: Data, hull: Data, signatures: Data) -> BankResult:
     if is_table(residuals):
         names = list(residuals.columns)
     table = _signatures(_rows_of(signatures, names, "the table of signatures"))
-    values = floats(residuals, "residuals")
+    values = float_array(residuals, "residuals")
     if values.dtype not in (np.float32, np.float64):
         values = values.astype(float)
     lo, hi = _hulls(_rows_of(hull, names, "the hull"), values.shape)

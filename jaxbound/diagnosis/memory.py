@@ -107,12 +107,12 @@ def suggest_lags(
             lags = spread_lags(top, int(count))
             sizes.setdefault(lags, _sizes(model, lags, reach))
         top //= 2
-    chosen = SuggestedLags(_chosen(sizes))
+    chosen = SuggestedLags(_chosen_lags(sizes))
     chosen.sizes = sizes
     return chosen
 
 
-def _chosen(sizes: Mapping[tuple[int, ...], Mapping[str, float]]) -> tuple[int, ...]:
+def _chosen_lags(sizes: Mapping[tuple[int, ...], Mapping[str, float]]) -> tuple[int, ...]:
     """Return the shortest lags among those that see nearly as much as the best."""
     able = {lags: own for lags, own in sizes.items() if any(map(math.isfinite, own.values()))}
     if not able:
@@ -120,7 +120,7 @@ def _chosen(sizes: Mapping[tuple[int, ...], Mapping[str, float]]) -> tuple[int, 
             "no window of these spans is sure to see a lasting fault, whatever its size: its bounds or "
             "disturbances hide it"
         )
-    score = {lags: _score(own, list(able.values())) for lags, own in able.items()}
+    score = {lags: _mean_log_ratio(own, list(able.values())) for lags, own in able.items()}
     enough = min(score.values()) + math.log(ENOUGH)
     return min((lags for lags in able if score[lags] <= enough), key=lambda lags: lags[-1])
 
@@ -174,7 +174,7 @@ def _sizes(model: LinearSystem, lags: tuple[int, ...], reach: Vector) -> dict[st
     return sizes
 
 
-def _score(sizes: Mapping[str, float], others: Sequence[Mapping[str, float]]) -> float:
+def _mean_log_ratio(sizes: Mapping[str, float], others: Sequence[Mapping[str, float]]) -> float:
     """Return the mean logarithm of sizes over the smallest of each signal; what is never seen counts ten
     times the worst.
     """

@@ -16,6 +16,7 @@ from jaxbound.consistency.drive import drive
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.window import float_matrices
 from jaxbound.recordings.recording import Recording
 
 LEAST, MOST = 100, 3000
@@ -81,7 +82,7 @@ def time_constants(model: LinearSystem) -> list[float]:
 
 def _recorded(model: LinearSystem, fault: Fault, course: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (u, y) of a plant in the middle of all its bounds, with a fault of this course in time."""
-    A, B, C, D, G = (_floats(model, name) for name in "ABCDG")
+    A, B, C, D, G = float_matrices(model, "ABCDG")
     total = len(course)
     acts = np.zeros((total, model.m))  # what the actuators do beside u
     if fault.signal in model.inputs:
@@ -101,11 +102,6 @@ def _recorded(model: LinearSystem, fault: Fault, course: np.ndarray) -> tuple[np
         y[:, model.outputs.index(fault.signal)] += course
     u = np.zeros((total, model.m)) + np.array(model.offset["u"], float)
     return u, y + np.array(model.offset["y"], float)
-
-
-def _floats(model: LinearSystem, name: str) -> np.ndarray:
-    rows = getattr(model, name)
-    return np.array(rows, float).reshape(len(rows), -1)
 
 
 def least_seen(watch: SetObserver[Any], fault: Fault) -> tuple[float, int, np.ndarray]:

@@ -83,7 +83,7 @@ class Severity:
                 break
             test = relations.test(self.method, y.dtype)
             assert not test.remembers, "an observer was refused"
-            first, samples = _around(at, relations.horizon)
+            first, samples = _stretches_around(at, relations.horizon)
             with sparing():
                 judged = windows(test, u[samples], y[samples], first[1:])
             counts[at] = judged.status[np.searchsorted(samples, at)] == Status.FAULT
@@ -125,7 +125,7 @@ def fitted(rule: AlarmRule, relations: Relations) -> AlarmRule:
     return rule
 
 
-def _around(at: np.ndarray, horizon: int) -> tuple[np.ndarray, np.ndarray]:
+def _stretches_around(at: np.ndarray, horizon: int) -> tuple[np.ndarray, np.ndarray]:
     """Return (where stretches of samples begin, the samples that windows at `at` need, each once)."""
     begins = at - horizon
     apart = np.flatnonzero(begins[1:] > at[:-1]) + 1  # windows that share no sample with those before

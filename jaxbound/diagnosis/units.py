@@ -108,11 +108,11 @@ def unit_hints(result: Judgement) -> list[str]:
         able = [tries[i] for i in left]
         if not able:
             return []
-        windows = _windows(signals, _spread(many, count), relations.horizon, able)
+        windows = _converted_windows(signals, _spread(many, count), relations.horizon, able)
         consistent = _consistent(relations, windows)
         share[left] = consistent.mean(1)
         left = left[np.count_nonzero(~consistent, axis=1) <= room]
-    few = _windows(signals, _spread(many, FEW), relations.horizon, tries)
+    few = _converted_windows(signals, _spread(many, FEW), relations.horizon, tries)
     best = _best(relations.model, tries, few, share)
     if best is None:
         return []
@@ -134,12 +134,12 @@ def _tries(model: LinearSystem) -> list[tuple[Group, Conversion]]:
     return tries
 
 
-def _windows(
+def _converted_windows(
     signals: np.ndarray, ends: np.ndarray, horizon: int, tries: list[tuple[Group, Conversion]]
 ) -> np.ndarray:
     """Return the windows (tries, N, s + 1, inputs and outputs) that end at some samples, converted."""
     windows = signals[ends[:, None] + np.arange(-horizon, 1)]
-    return np.stack([_changed(windows, *one) for one in tries])
+    return np.stack([_converted_signals(windows, *one) for one in tries])
 
 
 def _consistent(relations: ParityRelation, converted: np.ndarray) -> np.ndarray:
@@ -240,7 +240,7 @@ def _exchanges(model: LinearSystem) -> Iterator[Group]:
         yield tuple(range(2 * model.m))
 
 
-def _changed(signals: np.ndarray, group: Group, conversion: Conversion) -> np.ndarray:
+def _converted_signals(signals: np.ndarray, group: Group, conversion: Conversion) -> np.ndarray:
     """Return the signals with those of a group converted."""
     changed = signals.copy()
     if conversion is EXCHANGED:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from jaxbound.estimation.validation_result import Validation
 from jaxbound.models.multimodel import MultiModel
-from jaxbound.recordings.arrays import floats
+from jaxbound.recordings.arrays import float_array
 from jaxbound.recordings.read import recorded
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import Signals
@@ -64,7 +64,7 @@ def validate_parts(
         validated.append(validate(part, inputs, outputs[..., i, :], x0=first, starts=recording.starts))
         begin += part.n
     mu = model.mu(np.asarray(inputs, model.models[0].A.dtype))
-    output, residual, corrected = _weighed(mu, [(v.output, v.residual, v.corrected) for v in validated])
+    output, residual, corrected = _weighted_sum(mu, [(v.output, v.residual, v.corrected) for v in validated])
     absent = jnp.where(jnp.isnan(jnp.asarray(outputs, output.lo.dtype)).any(-2), jnp.nan, 0)
     return replace(
         validated[0],
@@ -93,7 +93,7 @@ def _recording_of_parts(model: MultiModel, u: Data, y: Data, starts: ArrayLike) 
                 f"y must have shape (..., T, {count}, {p}), each sub-model's own outputs: its shape is "
                 f"{shape}"
             )
-        y = floats(y, "y").reshape(*shape[:-2], count * p)
+        y = float_array(y, "y").reshape(*shape[:-2], count * p)
     signals = Signals(model.models[0].inputs, tuple(outputs), {})
     return recorded(signals, u, y, starts, narrow=False)
 
@@ -107,7 +107,7 @@ def _agreed(each: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _weighed(mu: Interval, parts: Sequence[tuple[Interval, ...]]) -> tuple[Interval, ...]:
+def _weighted_sum(mu: Interval, parts: Sequence[tuple[Interval, ...]]) -> tuple[Interval, ...]:
     """Return sum_i mu_i x_i for each of the Intervals x_i that the sub-models have."""
     mu = jax.tree.map(lambda end: jnp.moveaxis(end, -1, 0)[..., None], mu)
     sums = []

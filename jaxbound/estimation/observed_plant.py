@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbound.estimation.piece import Piece
 from jaxbound.estimation.set_rounding import largest_number
-from jaxbound.estimation.zonotope_begin import least_horizon, price, zonotope_begin
+from jaxbound.estimation.zonotope_begin import beginning_horizon, price, zonotope_begin
 from jaxbound.estimation.zonotope_numbers import free_numbers, numbers
 from jaxbound.estimation.zonotope_steps import Numbers, Start
 from jaxbound.models.arguments import whole_horizon
@@ -137,7 +137,7 @@ def observed_plant(model: ObservedModel, horizon: int | None, has_first: bool) -
     h = whole_horizon(horizon)
     price(system.n, system.p, h)
     if h is None:
-        h = least_horizon(linear, system, unknown)
+        h = beginning_horizon(linear, system, unknown)
         if h is not None and h * system.p > system.n:  # more than the least that was priced
             price(system.n, system.p, h)
     dtype = np.dtype(jax.dtypes.canonicalize_dtype(np.float64))

@@ -88,13 +88,13 @@ def observer(
     first = None
     if x0 is not None:
         first = first_set(x0, model.n, float(order), plant.dtype)
-    weights = _checked(weight)
+    weights = _checked_weights(weight)
     return options.observer(
         ZonotopeObserver(plant=plant, order=float(order), weights=weights, restart=bool(restart), x0=first)
     )
 
 
-def _checked(weight: float | Sequence[float]) -> np.ndarray:
+def _checked_weights(weight: float | Sequence[float]) -> np.ndarray:
     """Return weights (k,), k at least 1.
 
     Raises:

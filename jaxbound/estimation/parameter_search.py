@@ -152,7 +152,7 @@ class Search:
         helps &= edge > LEAST * (self.test.hi - self.test.lo)[:, None]
         helps &= np.isin(np.arange(len(lo)), axes)[:, None]
         axis = np.where(helps.any(0), np.where(helps, lean * share, -1.0).argmax(0), -1)
-        inside, signs = np.flatnonzero(axis >= 0), _corners(len(axes)).T
+        inside, signs = np.flatnonzero(axis >= 0), _cube_points(len(axes)).T
         if len(inside):
             points = middle[axes][:, inside, None] + 0.5 * edge[axes][:, inside, None] * signs[:, None]
             low, high = (np.repeat(x[:, inside], signs.shape[1], 1) for x in (lo, hi))
@@ -167,7 +167,7 @@ class Search:
         return axis
 
 
-def _corners(q: int) -> np.ndarray:
+def _cube_points(q: int) -> np.ndarray:
     """Return (K, q): the corners of [-1, 1]^q, or the middles of its faces."""
     if q <= CORNERS:
         return np.array(list(product((-1.0, 1.0), repeat=q)))

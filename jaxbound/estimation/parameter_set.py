@@ -116,7 +116,7 @@ class ParameterSet:
         narrowed = []
         for p in model.uncertainties:
             if p.name in self.hull:
-                between = _decimals(*self.hull[p.name], within=p.between)
+                between = _short_ends(*self.hull[p.name], within=p.between)
                 p = Uncertainty(p.name, p.A, p.B, p.C, p.D, p.varying, between)
             narrowed.append(p)
         origin = f"{', '.join(self.names)} narrowed by {self.windows} windows of a recording"
@@ -126,7 +126,7 @@ class ParameterSet:
         return model.replace(uncertainties=narrowed, provenance={**model.provenance, "model": origin})
 
 
-def _decimals(lo: float, hi: float, within: tuple[Fraction, Fraction]) -> tuple[Fraction, Fraction]:
+def _short_ends(lo: float, hi: float, within: tuple[Fraction, Fraction]) -> tuple[Fraction, Fraction]:
     """Return short decimals around an interval, none beyond another one."""
     least, most = Fraction(lo), Fraction(hi)
     tick = Fraction(10) ** (floor(log10(most - least)) - DIGITS)

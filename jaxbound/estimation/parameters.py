@@ -91,7 +91,7 @@ def parameters(
         ('found', [0.78, 0.82])
     """
     relations_of(relations, "parameters", EXAMPLE, monitors=False)
-    _check_options(precision, budget)
+    _check_precision(precision, budget)
     report = reporter(progress, "parameters")
     named, recording = relations.recording(u, y, starts)
     if np.ndim(recording.y) != 2:
@@ -100,7 +100,7 @@ def parameters(
             f"end to end and give where each begins, starts=(..)"
         )
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y)).finite()
-    test, ends = _boxes(named, recording, constant)
+    test, ends = _box_windows(named, recording, constant)
     search = Search(test, float(precision))
     search.run(int(budget), report)
     lo, hi = test.units(search.lo, search.hi)
@@ -116,7 +116,7 @@ def parameters(
     return ParameterSet(test.names, lo, hi, bounds, status, test.count, search.evaluated, refuted, relations)
 
 
-def _check_options(precision: float, budget: int) -> None:
+def _check_precision(precision: float, budget: int) -> None:
     """Raise ValueError for a precision or a budget that is none."""
     if not is_whole(budget) or budget < 1:
         raise ValueError(f"budget must be a whole number of boxes >= 1, not {budget!r}")
@@ -125,7 +125,7 @@ def _check_options(precision: float, budget: int) -> None:
 
 
 @singledispatch
-def _boxes(
+def _box_windows(
     relations: Relations, recording: Recording, constant: Mapping[str, int] | None
 ) -> tuple[ParameterBoxes, np.ndarray]:
     """Return (the windows of a recording as a test of boxes, the samples at which they end)."""
@@ -135,7 +135,7 @@ def _boxes(
     )
 
 
-@_boxes.register(Observer)
+@_box_windows.register(Observer)
 def _of_observer(
     relations: Observer[Any], recording: Recording, constant: Mapping[str, int] | None
 ) -> tuple[ParameterBoxes, np.ndarray]:
@@ -145,7 +145,7 @@ def _of_observer(
     )
 
 
-@_boxes.register
+@_box_windows.register
 def _of_model(
     relations: UncertainRelations, recording: Recording, constant: Mapping[str, int] | None
 ) -> tuple[ParameterBoxes, np.ndarray]:
@@ -167,7 +167,7 @@ def _of_model(
     return PolynomialBoxes(relations, recording.u, recording.y, starts), starts + relations.horizon
 
 
-@_boxes.register
+@_box_windows.register
 def _of_residual(
     relations: Residual, recording: Recording, constant: Mapping[str, int] | None
 ) -> tuple[ParameterBoxes, np.ndarray]:

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.certificates.interface import evidence
+from jaxbound.certificates.interface import explained_window
 from jaxbound.consistency.interface import Budget, Judged, Observer
 from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.estimation import zonotope_steps as steps
@@ -360,7 +360,7 @@ class SetObserver(Observer[State], Generic[State]):
         whole = samples.filled(-(-max(T, 1) // PIECE) * PIECE)
         parts: list[steps.Found] = []
         for first in range(0, max(T, 1), PIECE):
-            carry, verdicts = steps.follow(
+            carry, verdicts = steps.follow_lanes(
                 numbers,
                 start,
                 carry,
@@ -400,15 +400,15 @@ class SetObserver(Observer[State], Generic[State]):
             gone = fault & self._behind_faults(before, fault)
         found = emptied(found, gone)
         n, p = self.plant.system.n, self.plant.system.p
-        state = _interval(shaped(found.states), n)
+        state = _interval_of_ends(shaped(found.states), n)
         outputs = shaped(found.outputs)
         return Observation(
             status,
             margin,
             since,
             jax.tree.map(lambda end: end[..., : self.model.n], state),
-            predicted=_interval(outputs[..., : 2 * p], p),
-            output=_interval(outputs[..., 2 * p :], p),
+            predicted=_interval_of_ends(outputs[..., : 2 * p], p),
+            output=_interval_of_ends(outputs[..., 2 * p :], p),
         )
 
 
@@ -425,12 +425,12 @@ class ZonotopeObserver(SetObserver[ObserverState]):
         return self._first_state
 
 
-def _interval(ends: np.ndarray, width: int) -> Interval:
+def _interval_of_ends(ends: np.ndarray, width: int) -> Interval:
     """Return the Interval of ends -lo, hi, one behind the other."""
     return Interval(-ends[..., :width], ends[..., width:])
 
 
-@evidence.register(SetObserver)
+@explained_window.register(SetObserver)
 def _(
     observer: SetObserver[Any], result: ObservedResult, at: tuple[int, ...], status: Status
 ) -> tuple[Any, np.ndarray, np.ndarray]:

@@ -120,7 +120,7 @@ def unknown_inputs(
             continue
         lag = lags[j] = horizon - position
         share = partial(in_part, report, j / model.d, 1 / model.d)
-        least, most = _ranges(_ways(model, horizon, position, j), recording, share)
+        least, most = _way_ranges(_strips_at(model, horizon, position, j), recording, share)
         empty = least > most
         least[empty], most[empty] = np.inf, -np.inf
         at = ..., slice(position, max(position, samples[-1] - lag)), j
@@ -149,23 +149,23 @@ def _determined(model: LinearSystem, s: int) -> list[int | None]:
     places: list[int | None] = [None] * model.d
     for j in range(model.d):
         for t in reversed(range(window.unknown_lags(model, s))):
-            unit = _unit(len(E[0]), model.n + t * model.d + j)
+            unit = _unit_row(len(E[0]), model.n + t * model.d + j)
             if linalg.rank((*E, unit)) == rank:
                 places[j] = t
                 break
     return places
 
 
-def _unit(length: int, place: int) -> tuple[Fraction, ...]:
+def _unit_row(length: int, place: int) -> tuple[Fraction, ...]:
     """Return a row with 1 at one place and 0 elsewhere."""
     return tuple(Fraction(int(c == place)) for c in range(length))
 
 
-def _ways(model: LinearSystem, s: int, position: int, j: int) -> HostStrips:
+def _strips_at(model: LinearSystem, s: int, position: int, j: int) -> HostStrips:
     """Return strips that are ways to work out v_j at a position of the window: h (Y, w) - k U = v."""
     E, K = window.unknowns(model, s)
     column = model.n + model.g * s + position * model.d + j
-    extended = (*E, _unit(len(E[0]), column))
+    extended = (*E, _unit_row(len(E[0]), column))
     rank = linalg.rank(E)
     if comb(len(extended), rank + 1) > 10 * SUBSETS:
         raise ValueError(
@@ -196,7 +196,7 @@ def _tightest_ways(model: LinearSystem, s: int, combinations: Iterable[Vector]) 
     return tuple(sorted(ways, key=width)[:KEPT])
 
 
-def _ranges(ways: HostStrips, recording: Recording, report: Progress) -> tuple[np.ndarray, np.ndarray]:
+def _way_ranges(ways: HostStrips, recording: Recording, report: Progress) -> tuple[np.ndarray, np.ndarray]:
     """Return (lo, hi), each (..., T): what all ways that have their data say together of each window;
     infinite where none has.
 

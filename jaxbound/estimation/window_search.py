@@ -162,11 +162,11 @@ def _unknowns(window: WindowProgram, z: jax.Array) -> jax.Array:
     w = free[first:].reshape(window.scale.shape) * window.scale
 
     def move(x: jax.Array, drawn: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return _dot(window.A, x) + _dot(window.W, drawn), _dot(window.C, x)
+        return _matrix_times(window.A, x) + _matrix_times(window.W, drawn), _matrix_times(window.C, x)
 
     x = jnp.sum(window.S * free[None, :first], 1)[:, None]
     _, shown = jax.lax.scan(move, x, w[:, :, None])
-    errors = window.e - jnp.concatenate([_dot(window.T, x)[:, 0], shown.reshape(-1, N)])
+    errors = window.e - jnp.concatenate([_matrix_times(window.T, x)[:, 0], shown.reshape(-1, N)])
     known = jnp.concatenate([free, errors / window.s])
     if not len(window.b):
         return known
@@ -175,7 +175,7 @@ def _unknowns(window: WindowProgram, z: jax.Array) -> jax.Array:
     return jnp.concatenate([known, window.m + sums / window.b])
 
 
-def _dot(M: Array, X: Array) -> jax.Array:
+def _matrix_times(M: Array, X: Array) -> jax.Array:
     """Return M X for M (r, n), X (n, a, N)."""
     return jnp.sum(M[:, :, None, None] * X[None], 1)
 
@@ -276,12 +276,12 @@ def _filtered(
         rows, j, w, more, scale = now
         M, gains = jax.lax.scan(meet, M, (C, rows), unroll=True)
         pulled = jnp.sum(M[:, :n, None] * d[None], 1)  # a pull is like one more sample
-        M = _dot(A, _beside(M[:, :n], M[:, n:] + jnp.where((j == J)[None, None], pulled, 0)))
+        M = _matrix_times(A, _beside(M[:, :n], M[:, n:] + jnp.where((j == J)[None, None], pulled, 0)))
         w, more = w[:, None] / scale[:, None] ** 2, more / scale[:, None]
         by_A = jnp.sum(M[:, None, :n] * A[None, :, :, None], 2)
         by_W = jnp.sum(W[:, None, :, None] * W[None, :, :, None] / w[None, None, :, 0], 2)
         P = by_A + by_W
-        return _beside(0.5 * (P + jnp.swapaxes(P, 0, 1)), M[:, n:] + _dot(W, more / w)), gains
+        return _beside(0.5 * (P + jnp.swapaxes(P, 0, 1)), M[:, n:] + _matrix_times(W, more / w)), gains
 
     def pull(q: jax.Array, now: tuple[Array, Array]) -> tuple[jax.Array, jax.Array]:
         """Pull the adjoint q (n, k, N) through one row."""
@@ -292,8 +292,8 @@ def _filtered(
     def backward(q: jax.Array, now: tuple[Array, Array]) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
         """Pull the adjoint through one step and its sample."""
         gains, j = now
-        into = _dot(W.T, q)
-        q = _dot(A.T, q) + jnp.where((j == J)[None, None], d, 0)
+        into = _matrix_times(W.T, q)
+        q = _matrix_times(A.T, q) + jnp.where((j == J)[None, None], d, 0)
         q, pulls = jax.lax.scan(pull, q, (C, gains), reverse=True, unroll=True)
         return q, (into, pulls)
 

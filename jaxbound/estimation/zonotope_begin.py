@@ -83,7 +83,7 @@ def price(n: int, p: int, horizon: int | None) -> None:
     )
 
 
-def least_horizon(
+def beginning_horizon(
     linear: LinearSystem | None, system: IntervalSystem, directions: Directions | None = None
 ) -> int | None:
     """Return the smallest h with which h + 1 samples show all states, at the middle of the model; None if

@@ -64,12 +64,12 @@ def numbers(
     """
     matrices = system.A, system.B, system.C, system.D, system.offset["u"]
     (A, off_A), (B, off_B), (C, off_C), (D, off_D), (u0, off_u0) = (
-        _narrowed(*middle(x), dtype) for x in matrices
+        _in_dtype(*middle(x), dtype) for x in matrices
     )
     if linear is not None and linear.g:
         W, w, off_w = _disturbance(linear, dtype)
     else:
-        w, half = _narrowed(*middle(system.w), dtype)
+        w, half = _in_dtype(*middle(system.w), dtype)
         W, off_w = np.diag(half)[:, half > 0], np.zeros_like(w)
     tolerance, noise = (rounding.round_up(x, dtype) for x in (system.tolerance, system.noise))
     y0 = middle(system.offset["y"])[0].astype(dtype)  # rounded once: `sensor.true_value` counts it
@@ -100,8 +100,8 @@ def free_numbers(
     used = np.array([[i in way.outputs for way in ways] for i in range(linear.p)])
     moved = linalg.matmul(linear.C, linalg.transpose(directions.rows))
     return Free(
-        *_stacked([way.M for way in ways], dtype),
-        *_stacked([way.H for way in ways], dtype),
+        *_stacked_matrices([way.M for way in ways], dtype),
+        *_stacked_matrices([way.H for way in ways], dtype),
         used,
         before=np.array(directions.before),
         after=np.array(directions.after),
@@ -110,7 +110,7 @@ def free_numbers(
     )
 
 
-def _stacked(matrices: list[Matrix], dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
+def _stacked_matrices(matrices: list[Matrix], dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     """Return (floats, bounds of their errors) of matrices, one behind the other on the last axis."""
     floats, errors = zip(*(nearest(matrix, dtype) for matrix in matrices), strict=True)
     return np.stack(floats, -1), rounding.round_up(np.stack(errors, -1), dtype)
@@ -139,7 +139,7 @@ def first_set(x0: Interval | Zonotope, n: int, order: float, dtype: np.dtype) ->
     return FirstSet(np.asarray(fewer.center), np.asarray(fewer.generators), box, fewer is near)
 
 
-def _narrowed(mid: np.ndarray, away: np.ndarray, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
+def _in_dtype(mid: np.ndarray, away: np.ndarray, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     """Return (mid, away) in floats of a dtype, the second not too small."""
     near = mid.astype(dtype)
     away = away + np.abs(mid - near.astype(np.float64))

@@ -173,7 +173,7 @@ def unknown(sizes: tuple[int, int, int, int, int], weight: np.ndarray) -> Zonoto
 
 
 @kernel(static_argnames=("lanes", "enclosures"), compiler_options={"xla_cpu_multi_thread_eigen": False})
-def follow(
+def follow_lanes(
     plant: Numbers,
     start: Start | None,
     carry: ZonotopeCarry,
@@ -512,8 +512,8 @@ def _enclosures(
         moved = (free.before, tested), (free.after, there), (free.shown, tested)
         known, remembered, seen = (x & (~at[:, None] | sets.whole[None]) for at, x in moved)
     refuted = (sets.refuted & sets.tested)[None]
-    prior = _ends(g, *_hull(sets.first), known)
-    now = _ends(g, *_hull(sets.after), remembered)
+    prior = _ends(g, *_reach_of_states(sets.first), known)
+    now = _ends(g, *_reach_of_states(sets.after), remembered)
     first = _ends(g, *_outputs_of(plant, g, outputs, sets.before), seen & outputs.driven)
     after = _sized(g, *sets.after[:3])
     second = _ends(g, *_outputs_of(plant, g, outputs, after), there & outputs.driven)
@@ -521,7 +521,7 @@ def _enclosures(
     return states, jnp.concatenate([first, jnp.where(refuted, first, jnp.minimum(first, second))])
 
 
-def _hull(sets: _Sets) -> tuple[Array, Array]:
+def _reach_of_states(sets: _Sets) -> tuple[Array, Array]:
     """Return the middles of the states of sets, and how far they reach."""
     return sets.c, jnp.sum(jnp.abs(sets.G), 1) + sets.r
 

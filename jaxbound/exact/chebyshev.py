@@ -186,7 +186,7 @@ def _likely(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> tup
     """Return (rows that determine the optimum in floats, all where floats say nothing; the signs of the
     errors of all rows).
     """
-    found = _in_floats(E, b, r)
+    found = _float_optimum(E, b, r)
     if found is None or not found.rows:
         return range(len(b)), [1] * len(b)
     return found.rows, np.where(found.h > 0, 1, -1).tolist()
@@ -194,13 +194,13 @@ def _likely(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> tup
 
 def likely_point(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> tuple[Fraction, ...] | None:
     """Return a point z that may keep |b_i - E_i z| <= r_i, found in floats; None: floats know none."""
-    found = _in_floats(E, b, r)
+    found = _float_optimum(E, b, r)
     if found is None or found.t > 1 or not np.isfinite(found.z).all():
         return None
     return tuple(map(Fraction, found.z.tolist()))
 
 
-def _in_floats(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> "Nearest | None":
+def _float_optimum(E: linalg.Rows, b: Sequence[Fraction], r: Sequence[Fraction]) -> "Nearest | None":
     """Return the optimum in floats, None where numbers overflow."""
     try:
         rows = np.array([[*linalg.floats(row), float(x)] for row, x in zip(E, b, strict=True)])

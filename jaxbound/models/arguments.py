@@ -1,13 +1,36 @@
 """Arguments of a model that are tables or lists, refused by their names where they are something else."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TypeVar
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, TypeVar
 
 from jaxbound.models.numbers import is_whole
 
 Name = TypeVar("Name")
 Value = TypeVar("Value")
 Element = TypeVar("Element")
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+def taking_fields(value: type[Any]) -> Callable[[Function], Function]:
+    """Show the fields of a dataclass as the keywords that a function takes by its `**fields`.
+
+    Example:
+        >>> from dataclasses import make_dataclass
+        >>> shown = taking_fields(make_dataclass("Way", ["order"]))(lambda x, **fields: x)
+        >>> str(inspect.signature(shown))
+        "(x, *, order: 'typing.Any')"
+    """
+
+    def shown(function: Function) -> Function:
+        *own, _ = inspect.signature(function).parameters.values()
+        names = {parameter.name for parameter in own}
+        fields = inspect.signature(value).parameters.values()
+        rare = [field.replace(kind=field.KEYWORD_ONLY) for field in fields if field.name not in names]
+        function.__signature__ = inspect.Signature([*own, *rare])  # type: ignore[attr-defined]
+        return function
+
+    return shown
 
 
 def table_argument(field: str, given: Mapping[Name, Value] | None, like: str) -> dict[Name, Value]:

@@ -79,7 +79,7 @@ def averages_of(
     """
     bounds = {f"w{j + 1}": ends for j, ends in enumerate(disturbance)}
     averages = []
-    for signal, weights, bound in _listed(given):
+    for signal, weights, bound in _stated_averages(given):
         if signal not in (*outputs, *bounds):
             raise ValueError(
                 f"averages speak of {signal!r}, but they are of outputs and disturbances: "
@@ -130,7 +130,7 @@ def _pairs(
         ) from None
 
 
-def _listed(given: Averaged | None) -> list[tuple[str, Sequence[Number], Number]]:
+def _stated_averages(given: Averaged | None) -> list[tuple[str, Sequence[Number], Number]]:
     """Return [(signal, weights, bound)] of averages in any of their forms."""
     if given is None:
         return []

@@ -101,14 +101,14 @@ def _one_signal(x: jax.Array, lo: jax.Array, hi: jax.Array, averages: _Averages)
     share = jnp.ones((len(x),), dtype)
     whole = jnp.concatenate([before, out])
     for (n, f, b), e in zip(averages, slack, strict=True):
-        moved = jnp.max(jnp.abs(_sums(f, n, whole, longest - n, rest, out)), 0)
+        moved = jnp.max(jnp.abs(_run_sums(f, n, whole, longest - n, rest, out)), 0)
         room = jnp.maximum(b - e - jnp.abs(rest * jnp.sum(f)), 0)
         share = jnp.minimum(share, jnp.where(moved > room, room / jnp.where(moved > 0, moved, 1), 1))
     share = jnp.where(share < 1, share * (1 - 8 * rounding.unit(dtype)), 1)
     return jnp.where(share[:, None] < 1, jnp.clip(rest + share[:, None] * (out.T - rest), lo, hi), out.T)
 
 
-def _sums(
+def _run_sums(
     weights: Array, n: int, whole: jax.Array, begin: int, rest: jax.Array, like: jax.Array
 ) -> jax.Array:
     """Return the weighted sums (T, N) of runs of n values less rest, the first run from `begin` on."""

@@ -13,6 +13,7 @@ from functools import partial
 
 from jaxbound.exact.linalg import Matrix, Number, beside, columns_of, scale, transpose, zeros
 from jaxbound.exact.linalg import identity as unit_matrix
+from jaxbound.models.conversion import ModelLike, as_model
 from jaxbound.models.faults import refuse_unknown_signal
 from jaxbound.models.more_states import more_states
 from jaxbound.models.numbers import number
@@ -23,7 +24,7 @@ KINDS = ("bias", "drift")
 
 
 def with_faults(
-    model: LinearSystem, *faults: str, rate: Number | Mapping[str, Number] | None = None
+    model: ModelLike, *faults: str, rate: Number | Mapping[str, Number] | None = None
 ) -> LinearSystem:
     """Return the model with one more state for each fault: how much too much a sensor shows, or an actuator
     does.
@@ -38,7 +39,7 @@ def with_faults(
     on outputs: give it as noise.
 
     Args:
-        model: a LinearSystem.
+        model: a LinearSystem, or what `parity_relations` takes.
         faults: texts "signal:kind", signal an output or an input. "T1:bias" is constant, "T2:drift" moves by
             at most `rate` from one sample to the next. The states are called as the texts.
         rate: of drifts, in the unit of the signal; one number, or {"T2": number}.
@@ -55,6 +56,7 @@ def with_faults(
         >>> f.states, [float(x) for x in f.C[1]]
         (('x1', 'T2:bias', 'T1:drift'), [1.0, 1.0, 0.0])
     """
+    model = as_model(model, factors=True)
     named = [_fault(model, text) for text in faults]
     twice = sorted({x for x in faults if faults.count(x) > 1})
     if not named:

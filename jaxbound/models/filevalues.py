@@ -57,7 +57,7 @@ def known_fields(where: str, table: Table, fields: Sequence[str]) -> Table:
     return table
 
 
-def as_table(where: str, value: object) -> Table:
+def checked_table(where: str, value: object) -> Table:
     """Return a table, checked."""
     if not isinstance(value, dict):
         raise ValueError(f"{where} must be a table of fields")
@@ -200,7 +200,7 @@ def _read_averages(field: str, where: str, value: object) -> list[Stated]:
 
 
 def _read_average(where: str, entry: object) -> Stated:
-    table = known_fields(f"an average of {where}", as_table(f"an average of {where}", entry), AVERAGE)
+    table = known_fields(f"an average of {where}", checked_table(f"an average of {where}", entry), AVERAGE)
     if "bound" not in table or ("samples" in table) == ("weights" in table):
         raise ValueError(
             f"an average of {where} needs samples (how many consecutive ones) or weights (a list of them), "
@@ -267,7 +267,7 @@ def number_text(x: Fraction | int) -> str:
     digits = str(abs(x.numerator) * 10**places // x.denominator)
     sign = "-" if x < 0 else ""
     if places == 0:
-        return f"{sign}{_whole_text(digits)}"
+        return f"{sign}{_whole_number_text(digits)}"
     if places > len(digits) + 4:
         return f"{sign}{_mantissa(digits)}e{len(digits) - 1 - places}"
     digits = digits.rjust(places + 1, "0")
@@ -286,7 +286,7 @@ def _decimal_places(denominator: int) -> int | None:
     return max(twos, fives)
 
 
-def _whole_text(digits: str) -> str:
+def _whole_number_text(digits: str) -> str:
     """Return a whole number, a long one with an exponent where that makes it shorter."""
     mantissa = digits.rstrip("0")
     if len(digits) <= LONG or len(digits) - len(mantissa) < 6:

@@ -33,13 +33,13 @@ def fingerprint(*things: object) -> str:
         (True, False)
     """
     digest = hashlib.sha256()
-    for piece in _pieces(things):
+    for piece in _bytes_of(things):
         digest.update(b"%d:" % len(piece))  # no two sequences of pieces run together
         digest.update(piece)
     return digest.hexdigest()
 
 
-def _pieces(x: object) -> Iterator[bytes]:
+def _bytes_of(x: object) -> Iterator[bytes]:
     """Yield the parts of a thing as bytes."""
     if isinstance(x, np.generic):
         x = x.item()
@@ -49,21 +49,21 @@ def _pieces(x: object) -> Iterator[bytes]:
         x = np.asarray(x)
         yield f"array {x.dtype} {x.shape}".encode()
         if x.dtype == object:
-            yield from _pieces(x.tolist())
+            yield from _bytes_of(x.tolist())
         else:
             yield x.tobytes()
     elif isinstance(x, tuple | list):
         yield f"{len(x)} things".encode()
         for entry in x:
-            yield from _pieces(entry)
+            yield from _bytes_of(entry)
     elif isinstance(x, dict):
         yield f"{len(x)} names".encode()
         for name in sorted(x):
-            yield from _pieces((name, x[name]))
+            yield from _bytes_of((name, x[name]))
     elif isinstance(x, LinearSystem):
         compared = [getattr(x, f.name) for f in fields(LinearSystem)]  # by equality
-        yield from _pieces(("LinearSystem", compared))
+        yield from _bytes_of(("LinearSystem", compared))
     elif is_dataclass(x) and not isinstance(x, type):
-        yield from _pieces((type(x).__name__, [(f.name, getattr(x, f.name)) for f in fields(x)]))
+        yield from _bytes_of((type(x).__name__, [(f.name, getattr(x, f.name)) for f in fields(x)]))
     else:
         raise TypeError(f"there is no fingerprint of a {type(x).__name__}")

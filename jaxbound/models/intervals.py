@@ -131,7 +131,7 @@ def interval_system(
     """
     A, C = _entries("A", A), _entries("C", C)
     n, p = A.shape[0], C.shape[0]
-    B = _zeros(n, 0) if B is None else _entries("B", B)
+    B = _interval_of_zeros(n, 0) if B is None else _entries("B", B)
     for name, X, shape in (("A", A, (n, n)), ("B", B, (n, B.shape[1])), ("C", C, (p, n))):
         if X.shape != shape:
             raise ValueError(f"{name} must have shape {shape} to fit A, B and C: its shape is {X.shape}")
@@ -142,18 +142,18 @@ def interval_system(
         A,
         B,
         C,
-        D=_zeros(p, m),
-        w=_zeros(n),
-        tolerance=_upper(bounds.tolerance),
-        noise=_upper(bounds.noise),
-        offset={"u": _zeros(m), "y": _zeros(p)},
+        D=_interval_of_zeros(p, m),
+        w=_interval_of_zeros(n),
+        tolerance=_floats_above(bounds.tolerance),
+        noise=_floats_above(bounds.noise),
+        offset={"u": _interval_of_zeros(m), "y": _interval_of_zeros(p)},
         inputs=named("inputs", inputs, m, "u"),
         outputs=output_names,
         states=named("states", states, n, "x"),
     )
 
 
-def _zeros(*shape: int) -> Interval:
+def _interval_of_zeros(*shape: int) -> Interval:
     return interval(np.zeros(shape))
 
 
@@ -187,7 +187,7 @@ def _pair(x: object) -> tuple[Fraction, ...]:
     return exact, exact
 
 
-def _upper(values: Sequence[Fraction]) -> np.ndarray:
+def _floats_above(values: Sequence[Fraction]) -> np.ndarray:
     """Return exact numbers as floats, rounded up, in an array that nobody writes."""
     out = rounding.round_up(np.array(values, object))
     out.setflags(write=False)
@@ -235,8 +235,8 @@ def as_intervals(
         C=_hull(model, "C"),
         D=_hull(model, "D"),
         w=_pushed(model, model.G),
-        tolerance=_upper(model.tolerance),
-        noise=_upper([a + b for a, b in zip(model.noise, model.resolution, strict=True)]),
+        tolerance=_floats_above(model.tolerance),
+        noise=_floats_above([a + b for a, b in zip(model.noise, model.resolution, strict=True)]),
         offset={side: _outward(list(point), list(point)) for side, point in model.offset.items()},
         inputs=model.inputs,
         outputs=model.outputs,
@@ -249,7 +249,7 @@ def _hull(model: LinearSystem, letter: str, left: Matrix | None = None) -> Inter
     """Return the hull of a matrix of a model, or of left times it."""
     middle: Matrix = getattr(model, letter)
     if not middle or not middle[0]:
-        return _zeros(len(left or middle), 0)
+        return _interval_of_zeros(len(left or middle), 0)
     spread = [rows for u in model.uncertainties if (rows := u.on(letter))]
     if left:
         middle, spread = linalg.matmul(left, middle), [linalg.matmul(left, rows) for rows in spread]

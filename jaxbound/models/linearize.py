@@ -94,7 +94,7 @@ def linearize(
     refused = sorted(set(bounds) & {"E", "offset", "uncertainties"})
     if refused:
         raise ValueError(f"linearize itself finds {', '.join(refused)}: give x0, u0 and parameters instead")
-    at_x, at_u, period = _point("x0", x0), _point("u0", () if u0 is None else u0), rational(dt)
+    at_x, at_u, period = _exact_values("x0", x0), _exact_values("u0", () if u0 is None else u0), rational(dt)
     n, m = len(at_x), len(at_u)
     if not n or period <= 0:
         raise ValueError(
@@ -109,8 +109,8 @@ def linearize(
     states = named("states", bounds.get("states"), n, "x")
     inputs = named("inputs", bounds.get("inputs"), m, "u")
     box = [*_region(region, at_x, at_u), *between.values()]
-    middles = _middles(list(between.values()))
-    where = f"linearized over {_in_words([*states, *inputs, *names], box)}"
+    middles = _near_middles(list(between.values()))
+    where = f"linearized over {_box_text([*states, *inputs, *names], box)}"
     arguments, origins = dict(bounds), {"model": where, "disturbance": where}
 
     g = _about(_Call(frozen(f), n, m, names), box, [*at_x, *at_u], "f", n, [*states, *inputs])
@@ -161,7 +161,7 @@ def _region(region: Mapping[str, Any], at_x: list[Fraction], at_u: list[Fraction
     return box
 
 
-def _in_words(names: Sequence[str], box: Ends) -> str:
+def _box_text(names: Sequence[str], box: Ends) -> str:
     """Return a box in words."""
     texts = []
     for name, (lo, hi) in zip(names, box, strict=True):
@@ -226,7 +226,7 @@ def _about(
     if rows is not None and count != rows:
         raise ValueError(f"{letter} must return one number for each of the {rows} states: it returns {count}")
     between = box[here:]
-    q, middles = len(between), _middles(between)
+    q, middles = len(between), _near_middles(between)
     if q:
         near = plane(_Parts(f, middles), lo, hi, q, (f,))
     else:
@@ -271,7 +271,7 @@ def _refuse_unbounded(near: Plane, count: int, letter: str, labels: Sequence[str
     )
 
 
-def _middles(between: Ends) -> tuple[float, ...]:
+def _near_middles(between: Ends) -> tuple[float, ...]:
     """Return floats near the middles of pairs, from which the parameters are counted."""
     return tuple(float(np.asarray((a + b) / 2, jnp.result_type(float))) for a, b in between)
 
@@ -341,7 +341,7 @@ def _rounded(x: Fraction, width: Fraction, direction: Callable[[Fraction], int])
     return direction(x / tick) * tick
 
 
-def _point(field: str, values: object) -> list[Fraction]:
+def _exact_values(field: str, values: object) -> list[Fraction]:
     """Return one number, or several, exactly. field: its name in sentences."""
     several = cast("Sequence[Number]", values if np.ndim(cast("ArrayLike", values)) else [values])
     try:
@@ -363,10 +363,10 @@ def _box(field: str, stated: object, centre: list[Fraction]) -> Ends:
     k, shape, pairs = len(centre), np.shape(cast("ArrayLike", stated)), []
     if shape == (k, 2):
         for pair in cast("Sequence[object]", stated):
-            lo, hi = _point(f"region {field}", pair)
+            lo, hi = _exact_values(f"region {field}", pair)
             pairs.append((lo, hi))
     else:
-        radii = _point(f"region {field}", stated)
+        radii = _exact_values(f"region {field}", stated)
         if len(radii) not in (1, k):
             raise ValueError(
                 f"region {field} needs one radius, {k} radii or {k} pairs lo, hi: its shape is {shape}"

@@ -23,7 +23,7 @@ from jaxbound.models.filevalues import (
     Table,
     ValueKind,
     as_list,
-    as_table,
+    checked_table,
     in_list,
     known_fields,
 )
@@ -253,7 +253,7 @@ def _read_matrices(document: Table) -> Table:
         raise ValueError(
             "the table [matrices] is missing: it holds A, B, C and, if there is a direct path, D"
         )
-    matrices = as_table("[matrices]", document["matrices"])
+    matrices = checked_table("[matrices]", document["matrices"])
     matrices = known_fields("[matrices]", matrices, field_names("matrices"))
     is_static = "D" in matrices and "A" not in matrices and "C" not in matrices
     if not is_static:
@@ -266,7 +266,7 @@ def _read_matrices(document: Table) -> Table:
 
 
 def _read_provenance(document: Table) -> Table:
-    table = as_table("[provenance]", document.get("provenance", {}))
+    table = checked_table("[provenance]", document.get("provenance", {}))
     return known_fields("[provenance]", table, ORIGINS)
 
 
@@ -277,7 +277,7 @@ def _read_entry(entry: Entry, table: object) -> Table:
     if isinstance(table, dict) and "name" in table and entry.place != "disturbances":
         where = f"{where}, {table['name']!r}"
         title = f"{where},"
-    table = known_fields(title, as_table(title, table), field_names(entry.place))
+    table = known_fields(title, checked_table(title, table), field_names(entry.place))
     if entry.place == "disturbances":
         if "bound" not in table:
             raise ValueError(f"{where} needs a bound: a number for |w| <= bound, or [lowest, highest]")
@@ -308,7 +308,7 @@ def _of_signals(tables: Mapping[str, list[Table]]) -> dict[str, Any]:
     named = [*inputs, *outputs, *tables["states"]]
     arguments: dict[str, Any] = {}
     for field, argument in BY_NAME.items():
-        arguments[argument] = _by_name(named, field)
+        arguments[argument] = _field_by_name(named, field)
     arguments["offset"] = {}
     for side, signals in (("u", inputs), ("y", outputs)):
         if signals:
@@ -323,7 +323,7 @@ def _of_signals(tables: Mapping[str, list[Table]]) -> dict[str, Any]:
     return arguments
 
 
-def _by_name(tables: Iterable[Table], field: str) -> dict[str, Any]:
+def _field_by_name(tables: Iterable[Table], field: str) -> dict[str, Any]:
     """Return {name of a table: value of a field} of those that have it."""
     return {table["name"]: table[field] for table in tables if field in table}
 
@@ -343,7 +343,7 @@ def _assembled(top: Table, tables: Mapping[str, list[Table]]) -> dict[str, Any]:
         arguments["unknown_inputs"] = matrices["F"]
     arguments["uncertainties"] = [Uncertainty(**table) for table in tables["uncertainty"]]
     arguments["faults"] = [NamedFault(**table) for table in tables["fault"]]
-    averages = _by_name(tables["outputs"], "averages")
+    averages = _field_by_name(tables["outputs"], "averages")
     for i, table in enumerate(tables["disturbances"]):
         if "averages" in table:
             averages[f"w{i + 1}"] = table["averages"]

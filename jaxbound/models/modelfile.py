@@ -16,7 +16,7 @@ from jaxbound.files.whole import put
 from jaxbound.models.filevalues import NUMBER, TEXT, number_text
 from jaxbound.models.modelchanges import changes_between, with_changes
 from jaxbound.models.modelfields import LISTS, Entry, model_arguments, value_texts
-from jaxbound.models.statedtests import lines_of
+from jaxbound.models.statedtests import test_lines
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.template import template
 
@@ -199,7 +199,7 @@ def model_text(model: LinearSystem) -> str:
     for title, table in model._notes().items():
         lines += ["", f"[{title}]", *(f"{name} = {text}" for name, text in table.items())]
     for test in model.tests:
-        lines += ["", *lines_of(test)]
+        lines += ["", *test_lines(test)]
     return "\n".join(lines) + "\n"
 
 

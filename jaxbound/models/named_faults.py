@@ -127,7 +127,7 @@ class NamedFault:
             raise ValueError(f"{about}: a gain multiplies its own signal, so it has no times")
         if sign is not None and sign not in SIGNS:
             raise ValueError(f"sign of {about} must be '+' or '-', not {sign!r}")
-        smallest, largest = _magnitude(f"least of {about}", least), _magnitude(f"most of {about}", most)
+        smallest, largest = _exact_size(f"least of {about}", least), _exact_size(f"most of {about}", most)
         if smallest is not None and largest is not None and smallest > largest:
             raise ValueError(f"{about} needs least <= most, not {float(smallest):g} and {float(largest):g}")
         if stated[0] == PARAMETER:
@@ -166,7 +166,7 @@ class NamedFault:
         if self.states:
             return ", ".join(name for name, _ in self.states)
         if self.kind == PARAMETER:
-            return ", ".join(_entries(self.coefficients))
+            return ", ".join(_changed_entries(self.coefficients))
         return str(self.output or self.input)
 
     @property
@@ -200,7 +200,7 @@ def _refuse_open_parameter(
         raise ValueError(f"{about} needs most > 0: sizes of a parameter are searched up to it")
 
 
-def _entries(coefficients: Mapping[str, Matrix]) -> list[str]:
+def _changed_entries(coefficients: Mapping[str, Matrix]) -> list[str]:
     """Return the entries that a parameter changes, like A[0][1]."""
     return [
         f"{letter}[{i}][{j}]"
@@ -224,7 +224,7 @@ def _shares(about: str, states: Mapping[str, Number] | Sequence[str]) -> tuple[t
     return tuple(shares)
 
 
-def _magnitude(field: str, stated: Number | None) -> Fraction | None:
+def _exact_size(field: str, stated: Number | None) -> Fraction | None:
     """Return a bound of a size exactly, None where there is none."""
     if stated is None:
         return None

@@ -73,7 +73,7 @@ def plane(
     """
     box = interval(np.array(lo, object), np.array(hi, object))
     c = mid(box)
-    slopes = np.array(_at(f, c))
+    slopes = np.array(_derivatives_at(f, c))
     slopes[:, len(c) - level :] = 0
     found = _remainders((f, *smooth), _cells(f, box, c), c, slopes)
     ends = np.stack([np.asarray(found.lo).min(0), np.asarray(found.hi).max(0)], 1)
@@ -109,7 +109,7 @@ def _like(x: jax.Array) -> jax.ShapeDtypeStruct:
 
 @forgets
 @kernel(static_argnums=0)
-def _at(f: Function, x: jax.Array) -> jax.Array:
+def _derivatives_at(f: Function, x: jax.Array) -> jax.Array:
     """Return the derivatives of f at a point, in plain floats, 0 where they are infinite: a choice, not a
     proof.
     """
@@ -124,7 +124,7 @@ def _cells(f: Function, box: Interval, c: jax.Array) -> Interval:
     N, lo, hi = len(c), np.asarray(box.lo), np.asarray(box.hi)
     ends = np.tile(np.asarray(c), (2 * N, 1))
     ends[np.arange(N), np.arange(N)], ends[N + np.arange(N), np.arange(N)] = lo, hi
-    slopes = np.stack([_at(f, end) for end in ends])
+    slopes = np.stack([_derivatives_at(f, end) for end in ends])
     change = (np.abs(slopes[:N] - slopes[N:]).sum(1) * (hi - lo)).sum(1)
     cuts = np.ones(N, int)
     while cuts.prod() < CELLS:

@@ -68,7 +68,7 @@ def followers(model: LinearSystem, name: str) -> tuple[Follower, ...]:
 @lru_cache(256)
 def _powers(text: str, column: str) -> tuple[Polynomial, ...] | None:
     """Return (e_1, e_2, ..) of an expression; None where it is no polynomial."""
-    whole = _polynomial(text)
+    whole = _expanded(text)
     if whole is None:
         return None
     highest = max(columns.count(column) for columns in whole)
@@ -83,12 +83,12 @@ def _powers(text: str, column: str) -> tuple[Polynomial, ...] | None:
 
 def _is_product(text: str, column: str) -> bool:
     """Return whether an expression is its column times something that does not hold it."""
-    whole = _polynomial(text)
+    whole = _expanded(text)
     return whole is not None and all(columns.count(column) == 1 for columns in whole)
 
 
 @lru_cache(256)
-def _polynomial(text: str) -> Polynomial | None:
+def _expanded(text: str) -> Polynomial | None:
     """Return an expression multiplied out; None where it is more than sums, products and whole powers."""
     read = expression(text)
     try:

@@ -29,7 +29,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
 from jaxbound.random.keys import key_of
 from jaxbound.random.threefry import Array
-from jaxbound.recordings.arrays import floats, inputs_of, refuse_infinite
+from jaxbound.recordings.arrays import float_array, inputs_of, refuse_infinite
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats import rounding
@@ -254,7 +254,7 @@ def recorded_inputs(model: LinearSystem, u: object) -> Recorded:
         return Recorded(_checked_inputs(model, u), None)
     if model.averages:
         raise ValueError("simulate draws noise times a factor only where no errors average out")
-    inputs: Array = floats(u, "u")
+    inputs: Array = float_array(u, "u")
     shape = inputs.shape[:-1]
     given = _host(Recording.of(model, inputs, np.zeros((*shape, model.p), inputs.dtype)).u)
     refuse_infinite("u", given, known(model))
@@ -473,10 +473,10 @@ def _recorded(rules: _Rules, given: _Given) -> tuple[Array, ...]:
     if rules.places:
         within = bounds["noise"], bounds["lo"], bounds["hi"]
         noise, w = kept_averages(rules.places, bounds["averages"], noise, w, within)
-    applied = _faulty(rules, given, u, np.zeros(u.shape, u.dtype), extra, measured=False)
+    applied = _with_faults(rules, given, u, np.zeros(u.shape, u.dtype), extra, measured=False)
     along = tuple(_recordings_last(x) for x in (applied, w, v, theta, noise, parameters))
     states, outputs = _trajectory(given.numbers, given.x0.T, along)
-    y = _faulty(rules, given, _recordings_first(outputs), noise, extra, measured=True)
+    y = _with_faults(rules, given, _recordings_first(outputs), noise, extra, measured=True)
     return _recordings_first(states), u, y, theta, noise, w, v, parameters
 
 
@@ -570,7 +570,7 @@ def _unknowns(rules: _Rules, given: _Given) -> tuple[Array, Array, Array, Array,
     return tolerance * signs, noise, w, parameters, extra
 
 
-def _faulty(
+def _with_faults(
     rules: _Rules, given: _Given, signals: Array, errors: Array, extra: Array, measured: bool
 ) -> Array:
     """Apply faults, in order, to signals (N, T, c): to outputs, if they are measured, or to inputs.

@@ -21,7 +21,7 @@ from jaxbound.models.filevalues import (
     TEXT,
     TRUTH,
     Table,
-    as_table,
+    checked_table,
     in_list,
     known_fields,
     number_text,
@@ -112,7 +112,7 @@ def stated_tests(given: StatedTests | None) -> tuple[StatedTest, ...]:
     for i, table in enumerate(stated):
         test = table
         if not isinstance(test, StatedTest):
-            test = _read(i + 1, dict(as_table(f"number {i + 1} of test", table)))
+            test = _read(i + 1, dict(checked_table(f"number {i + 1} of test", table)))
         if test.name in [other.name for other in tests]:
             raise ValueError(f"two tests are called {test.name!r}: each needs a name of its own")
         tests.append(test)
@@ -147,7 +147,7 @@ def _read(place: int, table: Table) -> StatedTest:
         _options(where, table),
         _factor(where, table.get("factor", 1)),
         _condition(where, table.get("when")),
-        as_table(f"model of {where}", _as_in_a_file(table.get("model", {}))),
+        checked_table(f"model of {where}", _as_in_a_file(table.get("model", {}))),
     )
 
 
@@ -204,7 +204,7 @@ def _condition(where: str, given: object) -> str | None:
         raise ValueError(f"when of {where}: {e}") from None
 
 
-def lines_of(test: StatedTest) -> Iterator[str]:
+def test_lines(test: StatedTest) -> Iterator[str]:
     """Yield the lines of the `[[test]]` table of a test."""
     yield "[[test]]"
     yield f"name = {TEXT.spell(test.name)}"

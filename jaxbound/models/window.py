@@ -14,7 +14,7 @@ feedthrough D.
 Source: Adrot, Maquin, Ragot 2000, (3), (10), (12).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from itertools import chain, starmap
@@ -207,6 +207,13 @@ class ParameterForm:
         return rows
 
 
+def float_matrices(model: LinearSystem, letters: Iterable[str]) -> list[np.ndarray]:
+    """Return matrices of a model in floats, (rows, columns) where either may be 0."""
+    n, m, p, g, d = model.n, model.m, model.p, model.g, model.d
+    shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "G": (n, g), "F": (n, d), "D_v": (p, d)}
+    return list(map(lambda letter: np.array(getattr(model, letter), float).reshape(shapes[letter]), letters))
+
+
 def _array(rows: Sequence[Sequence[Fraction]], kind: type) -> np.ndarray:
     """Return a matrix as an array of floats, or of Fractions."""
     dtype: type = object
@@ -232,17 +239,17 @@ def second_form(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix, Matr
     L, M, N, H = [], [], [], []
     for j in range(s + 1):
         for i in range(model.p):
-            L.append(_placed(s + 1, n, {j: model.C[i]}) + _placed(unknown, d, {j: model.D_v[i]}))
-            H.append(_placed(lags, m, {j: model.D[i]}))
+            L.append(_block_row(s + 1, n, {j: model.C[i]}) + _block_row(unknown, d, {j: model.D_v[i]}))
+            H.append(_block_row(lags, m, {j: model.D[i]}))
     for j in range(s):
         for i, one in enumerate(linalg.identity(n)):
             step = {j: model.A[i], j + 1: linalg.scale(one, -1)}
-            M.append(_placed(s + 1, n, step) + _placed(unknown, d, {j: model.F[i]}))
-            N.append(_placed(lags, m, {j: linalg.scale(model.B[i], -1)}))
+            M.append(_block_row(s + 1, n, step) + _block_row(unknown, d, {j: model.F[i]}))
+            N.append(_block_row(lags, m, {j: linalg.scale(model.B[i], -1)}))
     return tuple(L), tuple(M), tuple(N), tuple(H)
 
 
-def _placed(count: int, width: int, blocks: Mapping[int, Vector]) -> Vector:
+def _block_row(count: int, width: int, blocks: Mapping[int, Vector]) -> Vector:
     """Return a row of so many blocks of one width, zeros where none is given."""
     row: list[Fraction] = []
     for j in range(count):

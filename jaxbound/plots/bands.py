@@ -100,12 +100,12 @@ def draw_bands(
         if len(panels) > PANELS:
             more = f"; the first {PANELS} of {len(panels)} {what} are shown"
             axes[0].set_title(drawn[0].title + more + thinned, pad=6)
-        _name(axes[0], panels[0].y is not None)
+        _name_lines(axes[0], panels[0].y is not None)
         finish(fig, axes, at, label, dates, top=0.7, gap=0.36)
     return fig
 
 
-def one_of(bands: Interval, i: int) -> Interval:
+def band_at(bands: Interval, i: int) -> Interval:
     """Return band i of bands (T, n)."""
     return Interval(np.asarray(bands.lo)[:, i], np.asarray(bands.hi)[:, i])
 
@@ -117,7 +117,7 @@ def one_signal(y: np.ndarray | None, i: int) -> np.ndarray | None:
     return y[:, i]
 
 
-def _name(ax: "Axes", is_measured: bool) -> None:
+def _name_lines(ax: "Axes", is_measured: bool) -> None:
     """Name the lines and areas above the axes; samples where some were measured."""
     named = {}
     for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
@@ -143,8 +143,8 @@ def _draw(ax: "Axes", panel: Band, at: np.ndarray, edges: np.ndarray, name: str)
     ax.fill_between(at, lo, hi, color=ENVELOPE, alpha=0.35, lw=0, label=name)
     for edge in (lo, hi):
         ax.plot(at, edge, color="#0072b2", lw=0.6, alpha=0.8)
-    healthy = _extremes(np.where(faulty, np.nan, y), edges)
-    wrong = _extremes(np.where(faulty, y, np.nan), edges)
+    healthy = _bin_extremes(np.where(faulty, np.nan, y), edges)
+    wrong = _bin_extremes(np.where(faulty, y, np.nan), edges)
     if len(y) > len(edges):
         ax.fill_between(at, *healthy, color="#57606a", lw=0.5, alpha=0.7, label="measured")
         ax.fill_between(at, *wrong, color=FAULTY, lw=1.2, label="measured, faulty")
@@ -153,13 +153,13 @@ def _draw(ax: "Axes", panel: Band, at: np.ndarray, edges: np.ndarray, name: str)
         ax.plot(at, wrong[0], color=FAULTY, ls="", marker="x", ms=4, label="measured, faulty")
     if panel.middle is not None:
         centre = (_finite(panel.middle.lo) + _finite(panel.middle.hi)) / 2
-        least, most = _extremes(np.where(faulty | np.isnan(y), centre, np.nan), edges)
+        least, most = _bin_extremes(np.where(faulty | np.isnan(y), centre, np.nan), edges)
         ax.plot(at, (least + most) / 2, color=INK, lw=1.3, label="corrected")
-    _limits(ax, lo, hi, np.concatenate(_extremes(y, edges)))
+    _limits(ax, lo, hi, np.concatenate(_bin_extremes(y, edges)))
     ax.grid(color=GRID, lw=0.7)
 
 
-def _extremes(y: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _bin_extremes(y: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (least, most) of the samples of each bin."""
     return np.fmin.reduceat(y, edges), np.fmax.reduceat(y, edges)
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxbound.estimation.set_observer import Observation
-from jaxbound.plots.bands import Band, draw_bands, one_of, one_recording, one_signal
+from jaxbound.plots.bands import Band, band_at, draw_bands, one_recording, one_signal
 from jaxbound.plots.plot import plot
 from jaxbound.sets.floats.status import Status
 
@@ -36,7 +36,7 @@ def plot_observation(
     wrong, panels = status == Status.FAULT, []
     for i in range(p):
         title = f"y{i + 1}, as the samples before allow"
-        panels.append(Band(title, one_of(found.predicted, i), one_signal(y, i), wrong))
+        panels.append(Band(title, band_at(found.predicted, i), one_signal(y, i), wrong))
     for i in range(found.state.shape[-1]):
-        panels.append(Band(f"state x{i + 1}", one_of(found.state, i), None, wrong))
+        panels.append(Band(f"state x{i + 1}", band_at(found.state, i), None, wrong))
     return draw_bands(panels, time, "bands", "enclosure")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxbound.estimation.validation import Validation
-from jaxbound.plots.bands import Band, draw_bands, one_of, one_recording, one_signal
+from jaxbound.plots.bands import Band, band_at, draw_bands, one_recording, one_signal
 from jaxbound.plots.plot import plot
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def plot_validation(
     panels = []
     for i in range(p):
         title, wrong = f"y{i + 1}: {_faults(faulty[:, i])}", faulty[:, i]
-        output, corrected = one_of(found.output, i), one_of(found.corrected, i)
+        output, corrected = band_at(found.output, i), band_at(found.corrected, i)
         panels.append(Band(title, output, one_signal(y, i), wrong, corrected))
     return draw_bands(panels, time, "outputs")
 

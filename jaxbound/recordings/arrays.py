@@ -57,7 +57,7 @@ def inputs_of(model: Named, u: Data, name: str = "u") -> np.ndarray | jax.Array 
     return _signals_by_name(model, u, name, model.inputs)
 
 
-def floats(data: Data, name: str) -> np.ndarray:
+def float_array(data: Data, name: str) -> np.ndarray:
     """Return numbers that are no signals of a model as an array of floats: NaN where they are masked, null or
     missing.
     """
@@ -107,7 +107,7 @@ def float_arrays(
         batch = np.broadcast_shapes(u.shape[:-2], y.shape[:-2])
     except ValueError:
         raise ValueError(f"the leading axes of u {u.shape} and y {y.shape} do not fit each other") from None
-    return _broadcast(u, batch), _broadcast(y, batch)
+    return _with_batch(u, batch), _with_batch(y, batch)
 
 
 def _factored(
@@ -354,7 +354,7 @@ def _channels(x: np.ndarray, name: str, channels: Sequence[str]) -> np.ndarray:
     return x
 
 
-def _broadcast(x: np.ndarray, batch: tuple[int, ...]) -> np.ndarray:
+def _with_batch(x: np.ndarray, batch: tuple[int, ...]) -> np.ndarray:
     if x.shape[:-2] == batch:
         return x
     if isinstance(x, jax.core.Tracer):

@@ -296,7 +296,7 @@ def expression(text: str) -> Expression:
             return f" {ticked.setdefault(word[1:-1].strip(), f'_{len(ticked)}_in_backticks')} "
         return WORDS.get(word, word)
 
-    tree = _tree_of(text, PIECES.sub(as_python, text).strip())
+    tree = _parsed(text, PIECES.sub(as_python, text).strip())
     nodes = list(ast.walk(tree))
     _check_nodes(text, nodes)
     texts, strings = _compared_with_text(nodes)
@@ -310,7 +310,7 @@ def expression(text: str) -> Expression:
     return Expression(text, columns, frozenset(names[x] for x in texts), names, tree)
 
 
-def _tree_of(text: str, code: str) -> ast.expr:
+def _parsed(text: str, code: str) -> ast.expr:
     """Return the tree of Python's code for a text."""
     wrong = ""
     try:

@@ -269,10 +269,10 @@ def signal_hints(name: str, runs: Runs, label: Callable[[int], str], driven: boo
         if extreme in NO_NUMBERS:
             stands = "if that stands for a missing sample, leave the cell blank (NaN)"
             hints.append(f"{name} is exactly {extreme:.6g} somewhere: {stands}")
-    return hints + [_sentence(name, stretch, label) for stretch in stretches(runs, driven)]
+    return hints + [_stillness_sentence(name, stretch, label) for stretch in stretches(runs, driven)]
 
 
-def _sentence(name: str, stretch: Stretch, label: Callable[[int], str]) -> str:
+def _stillness_sentence(name: str, stretch: Stretch, label: Callable[[int], str]) -> str:
     """Return the sentence on one kind of stillness of a signal."""
     kind, run, count, extreme = stretch
     if kind == "constant":

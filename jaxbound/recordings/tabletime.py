@@ -98,7 +98,7 @@ def plain_labels(labels: "pd.Index") -> "pd.Index":
         return pd.DatetimeIndex(labels)
     if kind == "m":
         return pd.TimedeltaIndex(labels)
-    labels = _decoded(labels)
+    labels = _text_labels(labels)
     first = _first_label(labels)
     if kind != "O" or first is None or isinstance(first, datetime.time):
         return labels
@@ -122,7 +122,7 @@ def plain_labels(labels: "pd.Index") -> "pd.Index":
         raise ValueError("the index holds a number that is too large to compute with") from None
 
 
-def _decoded(labels: "pd.Index") -> "pd.Index":
+def _text_labels(labels: "pd.Index") -> "pd.Index":
     """Return an index whose texts are texts, where they are bytes, as HDF5 and fields of NumPy hold them."""
     import pandas as pd
 
@@ -189,7 +189,7 @@ def row_time(index: "pd.Index", dt: float | None, whose: str, regular: bool) -> 
         if kind == "M":
             stamps = in_ns(_dates(plain), lambda k: f"the index of row {k}")
     elif kind not in ("i", "u", "f"):
-        return RowTime(seams=_changes(plain))
+        return RowTime(seams=_change_rows(plain))
     elif unlabelled(plain) or not len(plain):
         return RowTime()
     else:
@@ -369,7 +369,7 @@ def _period_and_seams(
     return period, seams
 
 
-def _changes(labels: "pd.Index") -> np.ndarray:
+def _change_rows(labels: "pd.Index") -> np.ndarray:
     """Return the rows before which labels that tell no time change, where they repeat.
 
     Rows of one label follow each other, if any do.

@@ -41,10 +41,10 @@ def in_doubt(cells: Arrow, values: np.ndarray, sign: str, is_other: bool = False
 
     cells = pc.fill_null(pc.utf8_trim_whitespace(cells), "")
     point = re.escape(sign)
-    signed = _where(cells, point)
-    groups = _where(cells, rf"^[-+]?[1-9][0-9]{{0,2}}({point}[0-9]{{3}})+$")
-    small = _where(cells, r"^[-+]?0*[1-9][0-9]{0,2}$")
-    large = _where(cells, r"^[-+]?0*[1-9][0-9]{3,}$")
+    signed = _matching(cells, point)
+    groups = _matching(cells, rf"^[-+]?[1-9][0-9]{{0,2}}({point}[0-9]{{3}})+$")
+    small = _matching(cells, r"^[-+]?0*[1-9][0-9]{0,2}$")
+    large = _matching(cells, r"^[-+]?0*[1-9][0-9]{3,}$")
     if (signed & ~groups).any() or large.any() or not groups.any():
         return []
     first = int(np.argmax(groups))
@@ -52,7 +52,7 @@ def in_doubt(cells: Arrow, values: np.ndarray, sign: str, is_other: bool = False
         return [first]
     if not small.any():
         return []
-    if not _where(cells, rf"{point}[0-9]*0$").any() and _closer_as_decimals(values, groups, small):
+    if not _matching(cells, rf"{point}[0-9]*0$").any() and _closer_as_decimals(values, groups, small):
         return []
     beside = np.flatnonzero(small)
     return [first, int(beside[np.argmin(np.abs(beside - first))])]
@@ -65,7 +65,7 @@ def all_grouped(cells: Arrow) -> str:
     import pyarrow.compute as pc
 
     known = pc.utf8_trim_whitespace(pc.drop_null(cells))
-    if not len(known) or not _where(known, r"^[-+]?[1-9][0-9]{0,2}(\.[0-9]{3})+$").all():
+    if not len(known) or not _matching(known, r"^[-+]?[1-9][0-9]{0,2}(\.[0-9]{3})+$").all():
         return ""
     return str(known[0].as_py())
 
@@ -98,7 +98,7 @@ class Doubt:
         return ""
 
 
-def _where(cells: Arrow, pattern: str) -> np.ndarray:
+def _matching(cells: Arrow, pattern: str) -> np.ndarray:
     import pyarrow.compute as pc
 
     return np.asarray(pc.match_substring_regex(cells, pattern).to_numpy(zero_copy_only=False), bool)

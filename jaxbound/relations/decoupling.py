@@ -74,7 +74,7 @@ def structured_relations(
     for names in insensitive_to:
         if isinstance(names, str):
             names = (names,)
-        part = _ignoring(model, names)
+        part = _relations_ignoring(model, names)
         if not part:
             raise ValueError(
                 f"no relation ignores {listed(names, str)}: that many unknown signals can explain whatever "
@@ -85,14 +85,14 @@ def structured_relations(
     return Redundancy(model, tuple(rows), tuple(ignored))
 
 
-def _ignoring(model: LinearSystem, names: Sequence[str]) -> tuple[Row, ...]:
+def _relations_ignoring(model: LinearSystem, names: Sequence[str]) -> tuple[Row, ...]:
     """Return a minimal basis of the relations that ignore the faults of some signals."""
     F, D_v = linalg.transpose(model.F), linalg.transpose(model.D_v)
     for name in names:
         through, direct = _fault_columns(model, name)
         F, D_v = (*F, through), (*D_v, direct)
     rows = basis(model, _rows_of_columns(F, model.n), _rows_of_columns(D_v, model.p))
-    return tuple(sorted(map(shift.presentable, rows), key=shift.degree))
+    return tuple(sorted(map(shift.presentable_row, rows), key=shift.degree))
 
 
 def _fault_columns(model: LinearSystem, name: str) -> tuple[Vector, Vector]:
@@ -112,7 +112,7 @@ def _rows_of_columns(columns: Matrix, count: int) -> Matrix:
     return linalg.transpose(columns)
 
 
-def _supports(rows: Sequence[Row]) -> list[tuple[int, ...]]:
+def _minimal_supports(rows: Sequence[Row]) -> list[tuple[int, ...]]:
     """Return the minimal supports of the combinations of rows."""
     numbers = linalg.row_reduce([shift.at(row, SOMEWHERE) for row in rows])[0] if rows else ()
     if not numbers:
@@ -133,9 +133,9 @@ def _best(model: LinearSystem) -> Redundancy:
     """Return the relations of fewest signals; of many, those that tell signals apart."""
     names = model.outputs + model.inputs
     banked = []
-    for support in _supports(basis(model)):
+    for support in _minimal_supports(basis(model)):
         without = tuple(name for j, name in enumerate(names) if j not in support)
-        banked.append((_ignoring(model, without)[0], without))
+        banked.append((_relations_ignoring(model, without)[0], without))
     banked.sort(key=_shortest_first)
     if len(banked) > BANK:
         weak, _ = _reactions([row for row, _ in banked], len(names))
@@ -199,7 +199,7 @@ class Signatures:
     def text(self) -> str:
         """Return the table, a relation a line."""
         signs = np.where(self.constant, "1", np.where(self.weak, "t", "."))
-        return _table(self.faults, self.relations, signs)
+        return _text_table(self.faults, self.relations, signs)
 
 
 def signatures(relations: Redundancy | ParityRelation) -> Signatures:
@@ -278,7 +278,7 @@ class Isolability:
         signs = np.where(self.isolable_constant, "1", np.where(self.isolable, "t", "."))
         np.fill_diagonal(signs, "-")
         seen = np.where(self.detectable_constant, "1", np.where(self.detectable, "t", "."))
-        return _table(("seen", *self.faults), self.faults, np.column_stack([seen, signs]))
+        return _text_table(("seen", *self.faults), self.faults, np.column_stack([seen, signs]))
 
 
 def isolability(model: ModelLike) -> Isolability:
@@ -305,7 +305,7 @@ def isolability(model: ModelLike) -> Isolability:
     weak, constant = np.zeros((count, count), bool), np.zeros((count, count), bool)
     degree = np.full((count, count), -1)
     for j, name in enumerate(names):
-        rows = _ignoring(model, (name,))
+        rows = _relations_ignoring(model, (name,))
         seen, steady = _reactions(rows, count)
         weak[:, j], constant[:, j] = seen.any(0), steady.any(0)
         for i in range(count):
@@ -314,7 +314,7 @@ def isolability(model: ModelLike) -> Isolability:
     return Isolability(names, np.any(seen, 0), weak, np.any(steady, 0), constant, degree)
 
 
-def _table(columns: Sequence[str], rows: Sequence[str], cells: np.ndarray) -> str:
+def _text_table(columns: Sequence[str], rows: Sequence[str], cells: np.ndarray) -> str:
     """Return a table as text, columns as wide as their names."""
     width = max(map(len, rows), default=0)
     lines = [" ".join([" " * width, *columns]).rstrip()]

@@ -51,7 +51,7 @@ from jaxbound.relations.cost import affordable, refuse_many_states
 from jaxbound.relations.forms import Formed, Forms, forms, over_samples
 from jaxbound.relations.lags import checked_lags, lagged, over_all_rows
 from jaxbound.relations.sentence import main_terms, relation_text
-from jaxbound.relations.still import moving
+from jaxbound.relations.still import without_still
 from jaxbound.relations.uncertain import UncertainRelations, uncertain_relations
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.strips.separation import Frame, frame_of
@@ -126,7 +126,7 @@ class ParityRelation(Formed, LinearRelations):
 
     @cached_property
     def _moving(self) -> ParityRelation | None:
-        return moving(self, self.of)
+        return without_still(self, self.of)
 
     def of(self, model: LinearSystem) -> Self:
         """Return the relations of another model over the same window."""

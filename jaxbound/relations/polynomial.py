@@ -106,7 +106,7 @@ def _places(count: int, some: Iterable[int] | None) -> dict[int, int]:
 
 def constant(matrix: Matrix, variables: int, columns: int | None = None) -> PolynomialMatrix:
     """Return an exact matrix as a PolynomialMatrix; columns: how many it has, if it may be without rows."""
-    entries, terms = entries_of(matrix), {}
+    entries, terms = nonzero_entries(matrix), {}
     if entries:
         terms[(0,) * variables] = entries
     if matrix:
@@ -114,7 +114,7 @@ def constant(matrix: Matrix, variables: int, columns: int | None = None) -> Poly
     return PolynomialMatrix(len(matrix), columns or 0, variables, terms)
 
 
-def entries_of(matrix: Matrix) -> dict[tuple[int, int], Fraction]:
+def nonzero_entries(matrix: Matrix) -> dict[tuple[int, int], Fraction]:
     """Return {(row, column): entry} of the entries of a matrix that are not 0."""
     entries = {}
     for i, row in enumerate(matrix):

@@ -120,7 +120,7 @@ class Redundancy(Relations):
 
     def text(self) -> str:
         """Return the relations, one a line."""
-        texts = [shift.relation_text(row, self.names) for row in self.rows]
+        texts = [shift.row_text(row, self.names) for row in self.rows]
         return "\n".join(f"r{i}: {text}" for i, text in enumerate(texts, 1))
 
     @cached_property
@@ -193,7 +193,7 @@ def redundancy(model: ModelLike, method: str = "window") -> Redundancy:
     model = as_model(model)
     if method == "elimination" and model.n:
         _refuse_elimination(model)
-    rows = tuple(sorted(map(shift.presentable, basis(model)), key=shift.degree))
+    rows = tuple(sorted(map(shift.presentable_row, basis(model)), key=shift.degree))
     return Redundancy(model, rows, ((),) * len(rows))
 
 

@@ -128,7 +128,7 @@ class Residual(ResidualRelations):
                 f"parameters needs lo and hi for each unknown, shape {wanted}: its shape is {given}"
             )
         lo, hi = np.moveaxis(np.asarray(bounds["parameters"]), -1, 0)
-        return dataclasses.replace(self, box=_bounded(interval(lo, hi)))
+        return dataclasses.replace(self, box=_checked_box(interval(lo, hi)))
 
     def named_like(self, model: LinearSystem) -> Self:
         """Return the residual with the names of a plant, in its order, for signals without names; see
@@ -266,7 +266,7 @@ def residual(
     if isinstance(horizon, bool) or not isinstance(horizon, int | np.integer) or horizon < 0:
         raise ValueError(f"horizon must be a whole number >= 0, not {horizon!r}")
     channels = Channels(_stated("inputs", inputs), _stated("outputs", outputs), float(dt), str(name))
-    return Residual(f, _bounded(interval(box)), int(horizon), channels)
+    return Residual(f, _checked_box(interval(box)), int(horizon), channels)
 
 
 def _stated(kind: str, names: Sequence[str] | None) -> tuple[str, ...] | None:
@@ -278,7 +278,7 @@ def _stated(kind: str, names: Sequence[str] | None) -> tuple[str, ...] | None:
     return tuple(names)
 
 
-def _bounded(box: Interval) -> Interval:
+def _checked_box(box: Interval) -> Interval:
     """Return the box, or refuse one that is empty, unbounded or of another shape."""
     lo, hi = np.asarray(box.lo), np.asarray(box.hi)
     if lo.ndim != 1 or not len(lo) or not (np.isfinite(lo) & np.isfinite(hi)).all() or (lo > hi).any():

@@ -41,7 +41,7 @@ def coefficients(row: Row) -> Matrix:
     return tuple(zip_longest(*row, fillvalue=Fraction(0)))
 
 
-def presentable(row: Row) -> Row:
+def presentable_row(row: Row) -> Row:
     """Scale a row to coprime integers, or to largest entry 1 where these are long; the first leading
     coefficient is positive.
     """
@@ -81,12 +81,12 @@ def _term(size: Fraction, power: str) -> str:
     return f"{factor} {power}".strip()
 
 
-def relation_text(row: Row, names: Sequence[str]) -> str:
+def row_text(row: Row, names: Sequence[str]) -> str:
     """Return a row of polynomials as a relation among signals.
 
     Example:
         >>> row = (Fraction(-2), Fraction(1)), (), (Fraction(0), Fraction(-3))
-        >>> relation_text(row, ("y1", "y2", "u1"))
+        >>> row_text(row, ("y1", "y2", "u1"))
         '(q - 2) y1 - 3 q u1 = 0'
     """
     terms = []

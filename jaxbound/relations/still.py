@@ -22,7 +22,7 @@ VANISHING = 2.0**-900
 R = TypeVar("R", bound=LinearRelations)
 
 
-def moving(relations: R, made: Callable[[LinearSystem], R]) -> R | None:
+def without_still(relations: R, made: Callable[[LinearSystem], R]) -> R | None:
     """Return relations without those of their disturbances that are 0; None if there are no such. made: makes
     relations of another model over the same window.
     """

@@ -17,7 +17,7 @@ from typing import TypeAlias
 from jaxbound.exact import linalg
 from jaxbound.models import window
 from jaxbound.models.system import LinearSystem
-from jaxbound.relations.polynomial import PolynomialMatrix, constant, entries_of, stacked
+from jaxbound.relations.polynomial import PolynomialMatrix, constant, nonzero_entries, stacked
 
 Variable: TypeAlias = tuple[str, int | None]
 """(name of the parameter, lag; None if it keeps one value)."""
@@ -105,7 +105,7 @@ def _on_everything(
             if rows is not None:
                 alpha = [0] * count
                 alpha[named.index((u.name, lag if u.varying else None))] = 1
-                out += PolynomialMatrix(len(rows), len(rows[0]), count, {tuple(alpha): entries_of(rows)})
+                out += PolynomialMatrix(len(rows), len(rows[0]), count, {tuple(alpha): nonzero_entries(rows)})
         return out
 
     state = layout.at(constant(linalg.identity(n), count, n), "x", 0)

@@ -53,7 +53,7 @@ def causes_of(model: object, alarms: Sequence[Alarm], chosen: Sequence[int]) -> 
             break
         if _is_longer(alarms[i]):
             with suppress(NotImplementedError):  # another window is an observer's
-                causes[i] = cause_of(alarms[i].diagnose())
+                causes[i] = cause_for_page(alarms[i].diagnose())
     for i in chosen:
         if i not in causes and alarms[i].cause:
             causes[i] = Cause(f"{alarms[i].cause}; looked at the window in which it begins alone", ())
@@ -63,8 +63,8 @@ def causes_of(model: object, alarms: Sequence[Alarm], chosen: Sequence[int]) -> 
 def _worst(alarm: Alarm) -> Cause:
     """Return the cause of the worst window of an alarm."""
     if not isinstance(alarm.result, Judged):
-        return cause_of(alarm.diagnose())
-    found = cause_of(diagnose(alarm.result, alarm.worst, alarm.worst, recording=alarm.recording))
+        return cause_for_page(alarm.diagnose())
+    found = cause_for_page(diagnose(alarm.result, alarm.worst, alarm.worst, recording=alarm.recording))
     if not _is_longer(alarm):
         return found
     return replace(found, answer=f"{found.answer}; looked at its worst window alone")
@@ -75,7 +75,7 @@ def _is_longer(alarm: Alarm) -> bool:
     return alarm.windows > 1 and isinstance(alarm.result, Judged)
 
 
-def cause_of(found: Diagnosis) -> Cause:
+def cause_for_page(found: Diagnosis) -> Cause:
     """Return a Diagnosis for a page."""
     largest = max(found.shares.values(), default=Fraction(0))
     bars: list[Bar] = []

@@ -181,7 +181,7 @@ def _times(x: np.ndarray) -> list[float] | str:
     return coded(x, "<f8")
 
 
-def usual_step(x: np.ndarray) -> float:
+def median_step(x: np.ndarray) -> float:
     """Return the usual step of times (n,), 1 of a single one."""
     return float(np.median(np.diff(x))) if len(x) > 1 else 1.0
 

@@ -20,7 +20,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.plots.combination import combination, expected_readings
 from jaxbound.plots.result import drawn_margins
 from jaxbound.recordings.recording import Recording
-from jaxbound.reports.chart import ChartPiece, ChartRow, Charts, band_key, coded, piece_of, plain, usual_step
+from jaxbound.reports.chart import ChartPiece, ChartRow, Charts, band_key, coded, median_step, piece_of, plain
 from jaxbound.reports.clock import AxisClock, axis_of, clock_of
 from jaxbound.runs.digest import Digest
 from jaxbound.sets.floats.status import Status
@@ -73,11 +73,11 @@ def charts(res: Result | Digest, recording: Recording | Digest, shown: Shown) ->
         alarm = shown.alarms[i]
         times.append([i, *(float(x(k)) for k in (alarm.start, alarm.end, alarm.worst))])
     return Charts(
-        rows=[*_combinations(res.relations), ChartRow("margin", "margin", kind="margin"), *signals, *states],
+        rows=[*_combined_rows(res.relations), ChartRow("margin", "margin", kind="margin"), *signals, *states],
         clock=clock,
         samples=samples,
         last=float(x(samples - 1)),
-        step=usual_step(close.x),
+        step=median_step(close.x),
         whole=whole,
         near=[stretch.plain() for stretch in near],
         begin=float(close.x[0]),
@@ -221,7 +221,7 @@ def _stretch(
     series = {
         "margin": res.measured(shown)[ends],
         **_signals(res.u[ends], res.y[ends], signals),
-        **_uncertain(res, ends),
+        **_uncertain_shares(res, ends),
     }
     piece = piece_of(time, res.status[ends], series, bands_of(res, ends))
     return ChartStretch(res, first, stop, piece, begin)
@@ -279,7 +279,7 @@ def _column(band: Interval, i: int, ends: slice) -> Interval:
     return Interval(np.asarray(band.lo)[ends, i], np.asarray(band.hi)[ends, i])
 
 
-def _uncertain(res: Result, ends: slice) -> dict[str, np.ndarray]:
+def _uncertain_shares(res: Result, ends: slice) -> dict[str, np.ndarray]:
     """Return {key: share} of each relation with uncertain parameters, which no certificate combines with
     others.
     """
@@ -306,7 +306,7 @@ def _explained(res: Result | Digest, worst: int | None) -> object:
     return None
 
 
-def _combinations(relations: Relations) -> Iterator[ChartRow]:
+def _combined_rows(relations: Relations) -> Iterator[ChartRow]:
     """Yield the Rows of combinations: one that certificates state, or each relation alone."""
     if not relations.uncertain:
         yield ChartRow("combination", COMBINED, kind="combination")

@@ -43,7 +43,7 @@ class AxisClock:
             ('2023-11-14 22:14:20', '0.3 s')
         """
         if self.tokens:
-            return _written(self.tokens, self.base + x)
+            return _time_text(self.tokens, self.base + x)
         short = f"{x:.{self.digits}f}"
         if "." in short:
             short = short.rstrip("0").rstrip(".")
@@ -112,8 +112,8 @@ def _dated(
     body, zone = _zone(texts[0])
     shifted = base + _offset(zone)
     bodies = [text.removesuffix(zone) for text in texts]
-    for tokens in _candidates(body):
-        if all(_written(tokens, shifted + x) == text for x, text in zip(at, bodies, strict=True)):
+    for tokens in _possible_patterns(body):
+        if all(_time_text(tokens, shifted + x) == text for x, text in zip(at, bodies, strict=True)):
             return AxisClock((*tokens, zone) if zone else tokens, shifted - first)
     if stamp is None:
         return None
@@ -153,7 +153,7 @@ def _midnight(text: str) -> float | None:
     return int(found[1]) * 3600 + int(found[2]) * 60 + float(found[3] or 0)
 
 
-def _candidates(text: str) -> Iterator[list[str]]:
+def _possible_patterns(text: str) -> Iterator[list[str]]:
     """Yield the patterns that a text could have: its numbers as fields, in the usual orders, with and without
     leading zeros.
     """
@@ -171,7 +171,7 @@ def _candidates(text: str) -> Iterator[list[str]]:
             yield [token for token in tokens if token]
 
 
-def _written(tokens: Sequence[str], seconds: float) -> str:
+def _time_text(tokens: Sequence[str], seconds: float) -> str:
     """Return a time, in s from 1970, by a pattern."""
     whole = math.floor(round(seconds, 3))
     at = datetime(1970, 1, 1) + timedelta(seconds=whole)

@@ -39,7 +39,7 @@ def monitor_sections(res: Result | Digest, label: Label) -> list[Section]:
     Args:
         res: of one recording. label: number of a sample -> text of its time.
     """
-    watched = _watched(res)
+    watched = _monitor_counts(res)
     if watched is None:
         return []
     bank: MonitorBank = res.relations  # type: ignore[assignment]  # it was watched
@@ -63,7 +63,7 @@ def monitor_sections(res: Result | Digest, label: Label) -> list[Section]:
     return [("Tests", None, text, rows), _coverage(watched, bank, fresh_label)]
 
 
-def _watched(res: Result | Digest) -> _Watched | None:
+def _monitor_counts(res: Result | Digest) -> _Watched | None:
     """Return the counts of a monitor; None where another test judged."""
     if isinstance(res, MonitorResult):
         counted, unwatched, fresh = CountsByTest(res.relations), Unwatched(), slice(res.known, None)

@@ -31,7 +31,7 @@ def overview(line: Timeline, name: str, ends: tuple[str, str], alarms: int, obse
             UNDECIDED is what healthy samples are.
     """
     assert line.x is not None, "a Timeline is drawn when all its samples were added"
-    x, low, high = _across(line.x), _scaled(line.low), _scaled(line.high)
+    x, low, high = _time_places(line.x), _scaled(line.low), _scaled(line.high)
     lowest = float(np.fmin.reduce(low, initial=0))
     down = (BOTTOM - TOP) / (SPARE - SPARE * lowest)
 
@@ -40,14 +40,14 @@ def overview(line: Timeline, name: str, ends: tuple[str, str], alarms: int, obse
 
     title = f"Margin of {name}" + thinning(line.samples, len(x), "extremes")
     parts = [_text(LEFT, 16, title, "start"), _text(RIGHT, 16, _alarms(alarms), "end", FAULTY)]
-    parts += _ribbon(x, line.status, observes)
-    for margin in _ticks(lowest):
+    parts += _verdict_strip(x, line.status, observes)
+    for margin in _margin_ticks(lowest):
         y = float(height(_scaled(np.array(margin))))
         parts.append(f'<path d="M{LEFT} {y:.1f}H{RIGHT}" stroke="{GRID if margin else INK}"/>')
         parts.append(_text(LEFT - 6, y + 4, f"{margin:g}", "end"))
     if line.samples > len(x):
-        parts.append(f'<path d="{_path(x, height(high))}" stroke="{ENVELOPE}"/>')
-    parts.append(f'<path d="{_path(x, height(low))}" stroke="{INK}"/>')
+        parts.append(f'<path d="{_broken_line(x, height(high))}" stroke="{ENVELOPE}"/>')
+    parts.append(f'<path d="{_broken_line(x, height(low))}" stroke="{INK}"/>')
     for at in x[line.marked].tolist():
         parts.append(f'<path d="M{at - 4:.1f} 20h8l-4 7z" fill="{FAULTY}"/>')
     parts += [_text(LEFT, 318, ends[0], "start"), _text(RIGHT, 318, ends[1], "end")]
@@ -56,7 +56,7 @@ def overview(line: Timeline, name: str, ends: tuple[str, str], alarms: int, obse
     return "\n".join([f"{head} {style}>", *parts, "</svg>"]).encode()
 
 
-def _across(time: np.ndarray) -> np.ndarray:
+def _time_places(time: np.ndarray) -> np.ndarray:
     """Return the places of times in the picture."""
     since = np.asarray(time - time[0], float)
     return np.asarray(LEFT + (RIGHT - LEFT) * since / max(since[-1], 1e-300))
@@ -67,14 +67,14 @@ def _scaled(margin: np.ndarray) -> np.ndarray:
     return np.where(margin < -1, -1 - np.log10(np.maximum(-margin, 1)), margin)
 
 
-def _ticks(lowest: float) -> list[float]:
+def _margin_ticks(lowest: float) -> list[float]:
     """Return the margins at which the axis has a tick; lowest: scaled."""
     steps = [-(10.0**n) * k for n in range(int(-lowest) + 1) for k in (1, 2, 5)]
     steps = [x for x in steps if _scaled(np.array(x)) >= lowest]
     return [1.0, 0.5, 0.0, *steps[:: 1 + len(steps) // TICKS]]
 
 
-def _path(x: np.ndarray, y: np.ndarray) -> str:
+def _broken_line(x: np.ndarray, y: np.ndarray) -> str:
     """Return a line through points, in pieces where there are none between."""
     words, pen = [], "M"
     for a, b in zip(x.tolist(), y.tolist(), strict=True):
@@ -86,7 +86,7 @@ def _path(x: np.ndarray, y: np.ndarray) -> str:
     return "".join(words)
 
 
-def _ribbon(x: np.ndarray, status: np.ndarray, observes: bool) -> Iterator[str]:
+def _verdict_strip(x: np.ndarray, status: np.ndarray, observes: bool) -> Iterator[str]:
     """Yield the strip of verdicts, and the shades of FAULT behind the margin."""
     edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, [RIGHT]])
     begins = np.flatnonzero(np.diff(status, prepend=-1))

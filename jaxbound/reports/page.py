@@ -32,11 +32,11 @@ def render(template: str, **values: object) -> str:
     Raises:
         jinja2.UndefinedError: it shows something that is not there.
     """
-    return str(_environment().get_template(f"templates/{template}").render(**values))
+    return str(_template_environment().get_template(f"templates/{template}").render(**values))
 
 
 @functools.cache
-def _environment() -> "Environment":
+def _template_environment() -> "Environment":
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(

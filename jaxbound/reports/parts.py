@@ -24,7 +24,7 @@ def model_values(model: LinearSystem, bounds: Mapping[str, np.ndarray | Vector])
         "outputs": [(*_signal(model, "y", i), *_bounds(model, bounds, i)) for i in range(model.p)],
         "inputs": [(*_signal(model, "u", i), *_training(model, i)) for i in range(model.m)],
         "disturbances": [_disturbance(model, j) for j in range(model.g)],
-        "parameters": list(map(_parameter, model.uncertainties)),
+        "parameters": list(map(_parameter_cells, model.uncertainties)),
         "matrices": list(_matrices(model)),
         "unknown": model.d,
         "direct_unknown": model.has_direct_unknown,
@@ -75,7 +75,7 @@ def _disturbance(model: LinearSystem, j: int) -> tuple[str, str, str, str]:
     return f"w{j + 1}", f"{lo:g}", f"{hi:g}", _origin(model, "disturbance")
 
 
-def _parameter(u: Uncertainty) -> tuple[str, str, str, str, str]:
+def _parameter_cells(u: Uncertainty) -> tuple[str, str, str, str, str]:
     lo, hi = (f"{float(bound):.6g}" for bound in u.between)
     acts_on = ", ".join(letter for letter in "ABCD" if getattr(u, letter))
     return u.name, lo, hi, "varies" if u.varying else "is constant", acts_on

@@ -16,7 +16,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.columns import Arrow, to_arrow, words
 from jaxbound.recordings.sample_axis import Place
 from jaxbound.runs.summary import Evidence, evidence
-from jaxbound.runs.verdictfiles import Columns, columns_of
+from jaxbound.runs.verdictfiles import Columns, verdict_columns
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 
@@ -123,7 +123,7 @@ def _(res: Validated, alarms: Sequence[Alarm]) -> Evidence:
     )
 
 
-@columns_of.register(Validated)
+@verdict_columns.register(Validated)
 def _(res: Validated) -> Columns:
     """Return the status, for each output its faults, its band and its corrected value, and bands of states.
 

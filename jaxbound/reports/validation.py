@@ -12,7 +12,7 @@ from jaxbound.diagnosis.observed import shown_name
 from jaxbound.plots.validation import plot_validation
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.sentence import looked_at
-from jaxbound.reports.chart import ChartPiece, ChartRow, Charts, band_key, picture_of, plain, usual_step
+from jaxbound.reports.chart import ChartPiece, ChartRow, Charts, band_key, median_step, picture_of, plain
 from jaxbound.reports.clock import axis_of, shown_time
 from jaxbound.reports.page import render
 from jaxbound.reports.parts import computed, model_values
@@ -36,7 +36,7 @@ def write_page(
     """Write a page: one file that asks nobody, with its charts. Args: as for `detection.write_report`."""
     model = res.model
     shown = model.outputs[:OUTPUTS]
-    drawn = charts(res, recording, shown)
+    drawn = output_charts(res, recording, shown)
     time = shown_time(recording, len(res.y))
     stretches, first = res.stretches(), res.first_fault
     page = render(
@@ -60,7 +60,7 @@ def write_page(
     file.write_text(page, encoding="utf-8")
 
 
-def charts(res: Validated, recording: Recording, shown: Sequence[str]) -> Charts:
+def output_charts(res: Validated, recording: Recording, shown: Sequence[str]) -> Charts:
     """Return the charts of the outputs shown: the whole recording, and the samples around the first faulty
     one.
     """
@@ -75,7 +75,7 @@ def charts(res: Validated, recording: Recording, shown: Sequence[str]) -> Charts
         clock=clock,
         samples=len(time),
         last=float(time[-1]),
-        step=usual_step(time),
+        step=median_step(time),
         whole=whole,
         near=[plain(close)] if whole.binned else [],
         begin=float(close.x[0]),
@@ -90,19 +90,19 @@ def _extremes(res: Validated, outputs: int) -> tuple[dict[str, np.ndarray], dict
     high: dict[str, np.ndarray] = {}
     output, corrected, faulty = res.found.output, res.found.corrected, np.asarray(res.found.faulty)
     for i in range(outputs):
-        y, lo, hi = res.y[:, i], _finite(corrected.lo, i), _finite(corrected.hi, i)
+        y, lo, hi = res.y[:, i], _finite_end(corrected.lo, i), _finite_end(corrected.hi, i)
         replaced = faulty[:, i] | np.isnan(y)
         lines = {
             f"y{i}": y,
             f"y{i}:faulty": np.where(faulty[:, i], y, np.nan),
             f"y{i}:instead": np.where(replaced, lo / 2 + hi / 2, np.nan),
         }
-        low |= lines | {band_key(f"y{i}"): _finite(output.lo, i)}
-        high |= lines | {band_key(f"y{i}"): _finite(output.hi, i)}
+        low |= lines | {band_key(f"y{i}"): _finite_end(output.lo, i)}
+        high |= lines | {band_key(f"y{i}"): _finite_end(output.hi, i)}
     return low, high
 
 
-def _finite(end: ArrayLike, i: int) -> np.ndarray:
+def _finite_end(end: ArrayLike, i: int) -> np.ndarray:
     """Return an end of the bands of output i, NaN where it is infinite."""
     values = np.asarray(end)[:, i]
     return np.where(np.isfinite(values), values, np.nan)

@@ -97,7 +97,7 @@ class TimedAlarms(Watching, Quiet):
         on = [*over, *self.watch.alarms.values()]
         if self.watch.open is not None:
             on.append(self.watch.open)
-        needed = np.unique(np.concatenate([last, places_of(on).ravel()]))
+        needed = np.unique(np.concatenate([last, alarm_samples(on).ravel()]))
         self.written, self.seconds = self.at(needed)
         self.numbers = needed
 
@@ -121,7 +121,7 @@ class TimedAlarms(Watching, Quiet):
         self.written = pa.array(times["written"], pa.string())
 
 
-def places_of(alarms: Sequence[Raised]) -> np.ndarray:
+def alarm_samples(alarms: Sequence[Raised]) -> np.ndarray:
     """Return (N, 3), the first, the last and the worst sample of each alarm."""
     places = [(alarm.start, alarm.end, alarm.worst) for alarm in alarms]
     return np.array(places, np.int64).reshape(-1, 3)
@@ -183,7 +183,7 @@ class AlarmBook(TimedAlarms):
             write_columns(self.path, self.columns(alarms), append=self.total > 0)
         self.total += len(alarms)
         self.ended.update(alarm.ended for alarm in alarms)
-        places = places_of(over)
+        places = alarm_samples(over)
         seconds = self.at(places.ravel())[1].reshape(-1, 3)
         fresh = list(zip(alarms, seconds.tolist(), strict=True))
         # the first of all is kept too, however shallow: sentences name it

@@ -77,7 +77,7 @@ class Continuation:
                 f"folder, or delete it to begin anew"
             )
         is_again = content is not None and str(kept.get(CONTENT, "")) == content
-        self.past = _under("before" if is_again else "after", kept)
+        self.past = _with_prefix("before" if is_again else "after", kept)
         self.rest: Unfinished | None = None
 
     def read(self, source: Source) -> Recording:
@@ -237,7 +237,7 @@ def joined_carries(carries: Sequence[State]) -> State:
     return carry
 
 
-def _under(kind: str, kept: Arrays) -> dict[str, np.ndarray]:
+def _with_prefix(kind: str, kept: Arrays) -> dict[str, np.ndarray]:
     """Return {name: array} of the arrays that are kept with a word before their name."""
     prefix = f"{kind} "
     return {name.removeprefix(prefix): x for name, x in kept.items() if name.startswith(prefix)}
@@ -250,7 +250,7 @@ def _arrays_of(rest: Unfinished) -> dict[str, np.ndarray]:
 
 def _unfinished_in(past: Arrays) -> Unfinished | None:
     """Return the samples that `_arrays_of` made arrays of; None: none are kept."""
-    rest = _under(REST, past)
+    rest = _with_prefix(REST, past)
     return Unfinished.of(rest) if rest else None
 
 

@@ -47,7 +47,7 @@ from jaxbound.runs.loop import Quiet, Taker, follow
 from jaxbound.runs.outputs import output_folder, shared_folder
 from jaxbound.runs.partnotes import read_by_test, read_devices, read_extremes, read_runs
 from jaxbound.runs.parts import forget_parts, part_files, verdicts_of
-from jaxbound.runs.shares import check_share, numbers_of
+from jaxbound.runs.shares import check_share, part_numbers
 from jaxbound.runs.sink import Sink, Verdicts
 from jaxbound.runs.streaming import CHUNK, Asked, all_parts, part_count, publish, write_parts
 from jaxbound.runs.summary import Evidence, evidence
@@ -305,7 +305,7 @@ def detect_dataset(
         with shared_folder(out, (PARTIAL,), (path,)):
             source = _source_in_parts(path, relations.model)
             folder, _ = write_parts(how, source, out, report, part, client)
-            return part_files(folder, numbers_of(part, part_count(source)))
+            return part_files(folder, part_numbers(part, part_count(source)))
     with output_folder(out, (VERDICTS,), (path,)) as place:
         source = _source_in_parts(path, relations.model)
         if merge:

@@ -411,7 +411,7 @@ def _tested(group: Group, how: FleetTest) -> Iterator[Judgement]:
     read = [(unit, _tried(unit, job.result)) for unit, job in group]
     together: _Together = {}
     if len(group) > 1:
-        together = _side_by_side([data for _, data in read if isinstance(data, _UnitData)], how.ask)
+        together = _units_side_by_side([data for _, data in read if isinstance(data, _UnitData)], how.ask)
     for unit, data in read:
         if isinstance(data, UnitResult):
             yield data, None
@@ -469,7 +469,7 @@ _Together = dict[int, _Followed]
 
 
 @sparing(False)
-def _side_by_side(read: Sequence[_UnitData], ask: Ask) -> _Together:
+def _units_side_by_side(read: Sequence[_UnitData], ask: Ask) -> _Together:
     """Return the outcomes of units that an observer can follow side by side."""
     alike: dict[tuple[object, ...], list[_UnitData]] = {}
     for data in read:

@@ -29,7 +29,7 @@ from jaxbound.runs.counts import CountsByTest
 from jaxbound.runs.loop import Memory, Quiet
 from jaxbound.runs.partnotes import DEVICE, RUNS, TESTS, Noted
 from jaxbound.runs.sink import Verdicts
-from jaxbound.runs.verdictfiles import columns_of
+from jaxbound.runs.verdictfiles import verdict_columns
 from jaxbound.sets.floats.status import Status
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class Parts(Quiet):
 
         if self.counted is not None:  # the verdicts of a monitor end where a part does
             self.counted.add(piece, cast(Judged, verdicts))
-        columns = {"time": piece.column, **columns_of(verdicts)}
+        columns = {"time": piece.column, **verdict_columns(verdicts)}
         columns["status"] = categories([x.name for x in Status], verdicts.status)
         self.tables.append(pa.table(columns))
         self.signals.append(_signals_and_where(piece))

@@ -13,7 +13,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.sink import Verdicts
-from jaxbound.runs.verdictfiles import columns_of
+from jaxbound.runs.verdictfiles import verdict_columns
 from jaxbound.sets.floats.status import Status
 
 VERDICTS = "verdicts.csv"
@@ -174,7 +174,7 @@ def _row_text(written: Arrow, verdicts: Verdicts) -> bytes:
     if len(written) <= FEW and is_simple:  # by hand, which is sooner done
         return _few_rows(written.to_pylist(), verdicts)
     sink = pa.BufferOutputStream()
-    write_rows(sink, {"time": written, **columns_of(verdicts)})
+    write_rows(sink, {"time": written, **verdict_columns(verdicts)})
     return bytes(sink.getvalue().to_pybytes())
 
 
@@ -189,7 +189,7 @@ def _plainly_named(verdicts: Verdicts) -> bool:
 
 def _few_rows(times: list[float | str], verdicts: Verdicts) -> bytes:
     rows: list[str] = []
-    outside = _outside_cells(verdicts)
+    outside = _region_cells(verdicts)
     numbers = verdicts.status.tolist(), verdicts.margin.tolist(), outside
     for when, status, margin, cells in zip(times, *numbers, strict=True):
         if not isinstance(when, str):
@@ -199,7 +199,7 @@ def _few_rows(times: list[float | str], verdicts: Verdicts) -> bytes:
     return "".join(rows).encode()
 
 
-def _outside_cells(verdicts: Verdicts) -> Iterator[str]:
+def _region_cells(verdicts: Verdicts) -> Iterator[str]:
     """Yield the cells of each row on the region of training, each with a comma behind it."""
     departure = verdicts.departure
     if departure is None:

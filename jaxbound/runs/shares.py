@@ -16,7 +16,7 @@ def check_share(part: tuple[int, int]) -> None:
         raise ValueError(f"part is (i, n), the i-th of n shares with 1 <= i <= n, not {part!r}")
 
 
-def numbers_of(part: tuple[int, int], count: int) -> range:
+def part_numbers(part: tuple[int, int], count: int) -> range:
     """Return the range of numbers, from 0, of the parts in share (i, n) of so many; some are empty where n >
     count.
     """

@@ -41,7 +41,7 @@ from jaxbound.runs.parts import (
     refuse_other_part,
     unfinished_parts,
 )
-from jaxbound.runs.shares import numbers_of, stretches_listed
+from jaxbound.runs.shares import part_numbers, stretches_listed
 from jaxbound.text.progress import Progress, reporter
 from jaxbound.workers.engine import spread, stretches_for
 
@@ -94,7 +94,7 @@ def write_parts(
     folder, job = _job_of(asked, source, Path(out), part)
     report = reporter(progress)
     seconds = dict.fromkeys(STAGES, 0.0)
-    mine = numbers_of(part or (1, 1), part_count(source))
+    mine = part_numbers(part or (1, 1), part_count(source))
     missing = missing_parts(folder, mine)
     if client is None:
         tasks = _write_here(job, missing, mine, report)
@@ -164,7 +164,7 @@ def part_count(source: ParquetSource) -> int:
     return -(-source.samples // PART)
 
 
-def samples_of(numbers: range, source: ParquetSource) -> tuple[int | None, int | None]:
+def sample_range(numbers: range, source: ParquetSource) -> tuple[int | None, int | None]:
     """Return the first and the last sample of the parts with these numbers; (None, None) of none."""
     if not numbers:
         return None, None
@@ -317,7 +317,7 @@ def _job_of(
     kind = margins_for(asked.ask.margins, source.samples - relations.horizon)
     asked = Asked(relations, replace(asked.ask, margins=kind), begins, chunk)
     job = _Judging(asked, source, folder, PART, common)
-    mine = numbers_of(part or (1, 1), part_count(source))
+    mine = part_numbers(part or (1, 1), part_count(source))
     for file in part_files(folder):
         number = part_number(file)
         if number in mine:

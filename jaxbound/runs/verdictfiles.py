@@ -63,7 +63,7 @@ def write_verdicts(path: str | PathLike[str], result: Verdicts, recording: Recor
         time = to_arrow(np.arange(len(result.status)))
     else:
         time = recording.column
-    write_columns(path, {"time": time, **columns_of(result)})
+    write_columns(path, {"time": time, **verdict_columns(result)})
 
 
 def spoken_of(folder: Path, k: int) -> Spoken:
@@ -88,7 +88,7 @@ def spoken_of(folder: Path, k: int) -> Spoken:
 
 
 @singledispatch
-def columns_of(result: Verdicts) -> Columns:
+def verdict_columns(result: Verdicts) -> Columns:
     """Return the columns of verdicts beside the time: status, margin (blank where there is none), those of
     `outside_columns`, of a monitor the name of the test that speaks (blank where none does), suspect.
     """
@@ -104,10 +104,10 @@ def columns_of(result: Verdicts) -> Columns:
     }
 
 
-@columns_of.register(Result)
+@verdict_columns.register(Result)
 def _(result: Result) -> Columns:
     """Return those of a Result: margins of FAULT windows are exact."""
-    return columns_of(result.judged())
+    return verdict_columns(result.judged())
 
 
 def outside_columns(departure: Departure | None) -> Columns:

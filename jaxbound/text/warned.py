@@ -12,7 +12,7 @@ PACKAGE = f"{Path(__file__).parents[1]}{os.sep}"
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
     """Warn with the line by which the package was entered: Python names it, and filters go by it."""
-    warnings.warn(message, category, stacklevel=2 + _depth(sys._getframe(1)))
+    warnings.warn(message, category, stacklevel=2 + _frames_above(sys._getframe(1)))
 
 
 @cache  # an exception, where a filter makes one of the warning, is not kept: it comes again
@@ -21,7 +21,7 @@ def warn_once(message: str) -> None:
     warn(message)
 
 
-def _depth(inner: FrameType) -> int:
+def _frames_above(inner: FrameType) -> int:
     """Return how many frames above a frame the user's is: the one above the outermost of the package."""
     depth, outermost = 0, 0
     frame: FrameType | None = inner

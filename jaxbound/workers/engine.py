@@ -245,7 +245,7 @@ def _alike(client: "Client") -> _Kind:
     names = next(iter(answers.values())).names
     threads, has_gpu = 0, False
     for address, other in answers.items():
-        different = _difference(other.names, names | mine)
+        different = _differing_names(other.names, names | mine)
         if different:
             raise ConnectionError(f"the worker {address} has {different}: {ALIKE}")
         threads += other.threads
@@ -282,7 +282,7 @@ def _address(client: "Client") -> str:
     return getattr(client.scheduler, "address", "")
 
 
-def _difference(kind: dict[str, str], wanted: dict[str, str]) -> str:
+def _differing_names(kind: dict[str, str], wanted: dict[str, str]) -> str:
     """Return the names in which a kind differs from the one that is wanted, as text; empty for none."""
     differing = (name for name, text in kind.items() if text != wanted[name])
     return " and ".join(f"{name} {kind[name]}, not {wanted[name]}" for name in differing)
@@ -305,7 +305,7 @@ def _attempt(packed: bytes, task: Any) -> tuple[Exception | None, Any]:
     attempt.
     """
     job, kind, wide = _unpacked(packed)
-    different = _difference(_kind(), kind)
+    different = _differing_names(_kind(), kind)
     if different:  # one that came later
         return ConnectionError(f"a worker that joined has {different}: {ALIKE}; {GOES_ON}"), None
     try:

@@ -223,7 +223,7 @@ def test_the_log_of_long_work_is_kept_from_who_wants_one_line(caplog):
     log = logging.getLogger("jaxbound")
     for loudness, said in ((terminal.QUIET, []), (terminal.NORMAL, ["half done"])):
         caplog.clear()
-        with main._log(loudness):
+        with main._keep_log(loudness):
             log.warning("half done")
         assert [record.getMessage() for record in caplog.records] == said
     assert log.level == logging.NOTSET

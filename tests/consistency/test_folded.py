@@ -87,7 +87,7 @@ def test_folded_verdicts_hold_in_whole_numbers(name, rng):
     u, y = at_boundary(relations, reading, rng, np.float64)
     margin = np.asarray(folded(reading, u, y))
     starts = np.arange(N - 1)
-    exact = whole_numbers.exact_strips(
+    exact = whole_numbers.exact_strip_margins(
         relations, reading, relations.strips("joint"), *gather(u, y, starts, 1, 1)
     )
     assert (margin != 0).sum() > N / 2

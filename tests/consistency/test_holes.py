@@ -148,7 +148,7 @@ def test_holes_under_constant_gains_are_decided(rng):
 
 def test_a_sample_says_nothing_of_windows_without_it(relations, rng, monkeypatch):
     """Rounding errors are those of each window: else a spike would open all that are judged beside it."""
-    monkeypatch.setattr(exchange, "exact_margins", lambda *given: np.zeros(given[-1].shape[2]))
+    monkeypatch.setattr(exchange, "whole_margins", lambda *given: np.zeros(given[-1].shape[2]))
     u, y = recording(rng, 60, 0.1, fault=1.5)
     alone = jb.detect(relations, u[:-1], y[:-1]).status
     assert {Status.CONSISTENT, Status.FAULT} <= set(alone.tolist())

@@ -228,7 +228,7 @@ def test_verdicts_do_not_depend_on_the_block_or_the_position_in_it(rng):
 def test_nothing_is_traced_again_for_another_recording_or_model(rng):
     u, y = rng.uniform(-1, 1, (300, 1)), rng.normal(size=(300, 2))
     jb.detect(jb.parity_relations(paper(), 20), u, y)
-    traced = exchange.candidates._cache_size(), exchange.verdicts._cache_size()
+    traced = exchange.candidates._cache_size(), exchange.proved_margins._cache_size()
     other = paper(
         A=[[0.7, 0.3], [0.1, 0.4]],
         B=[[0.5], [2]],
@@ -239,7 +239,7 @@ def test_nothing_is_traced_again_for_another_recording_or_model(rng):
     )
     jb.detect(jb.parity_relations(other, 20), u[:77], y[:77])
     jb.detect(jb.parity_relations(other, 20).with_bounds({"noise": 3.0}), u, y)
-    assert traced == (exchange.candidates._cache_size(), exchange.verdicts._cache_size())
+    assert traced == (exchange.candidates._cache_size(), exchange.proved_margins._cache_size())
 
 
 def test_the_first_samples_and_the_seams_of_a_batch_are_missing(rng):

@@ -11,7 +11,7 @@ import pytest
 from oracles import Plant
 
 import jaxbound as jb
-from jaxbound.consistency.whole_numbers import exact_strips
+from jaxbound.consistency.whole_numbers import exact_strip_margins
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.strips import status_of
 
@@ -123,7 +123,7 @@ def test_tolerances_whose_fractions_are_long_are_decided(rng):
     plant = Plant(**TURN | dict(tolerance=[1e-7, 3e-9]))
     r = jb.parity_relations(jb.LinearSystem(**TURN | dict(tolerance=[1e-7, 3e-9])))
     u, y = windows(plant, r.horizon, 30, rng, np.float64)
-    margin = exact_strips(
+    margin = exact_strip_margins(
         r,
         r.reading(np.float64),
         (r.circuits, r.circuits_known),

@@ -108,7 +108,7 @@ def test_verbs_that_need_windows_say_so(watch):
         (
             lambda: jb.detect(watch, u, y, method="box"),
             ValueError,
-            "an observer takes neither method nor budget",
+            "takes neither method nor budget",
         ),
         (
             lambda: jb.study(PLANT, ["T1:bias"], 9, 0, watch, at="adversarial"),

@@ -41,9 +41,9 @@ def test_verdicts_and_enclosures_are_one_program():
     """It takes seconds to compile, and a report shows enclosures behind the verdicts."""
     u, _, y = recorded(PLANT, 16, 1, at="uniform")
     found = jb.observe(PLANT, u, y)
-    programs = zonotope_steps.follow._cache_size()
+    programs = zonotope_steps.follow_lanes._cache_size()
     res = jb.detect(jb.observer(PLANT), u, y)
-    assert zonotope_steps.follow._cache_size() == programs
+    assert zonotope_steps.follow_lanes._cache_size() == programs
     np.testing.assert_array_equal(res.margin, found.margin)
 
 
@@ -173,13 +173,13 @@ def test_in_pieces_sample_by_sample_and_in_a_batch_it_says_the_same(rng):
 
 @pytest.mark.compiled
 def test_a_second_recording_compiles_nothing(rng):
-    from jaxbound.estimation.zonotope_steps import follow
+    from jaxbound.estimation.zonotope_steps import follow_lanes
 
     u, _, y = recorded(PLANT, 40, 5)
     jb.observe(PLANT, u, y)
-    known = follow._cache_size()
+    known = follow_lanes._cache_size()
     jb.observe(PLANT.replace(noise=0.2), u[:33], y[:33])
-    assert follow._cache_size() == known
+    assert follow_lanes._cache_size() == known
 
 
 def test_gaps_missing_inputs_and_contradictions_begin_anew(rng):

@@ -67,7 +67,7 @@ def tightened():
 @pytest.mark.parametrize(
     "module, name, call, least",
     [
-        (zonotope_steps, "follow", observed("zonotope"), 1),
+        (zonotope_steps, "follow_lanes", observed("zonotope"), 1),
         pytest.param(hull, "tighten", tightened, 5, marks=pytest.mark.long),
     ],
     ids=["zonotope", "hull"],

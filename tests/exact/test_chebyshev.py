@@ -174,7 +174,7 @@ def test_there_is_a_circuit_wherever_rows_depend_on_each_other():
 
 
 def test_a_factor_that_is_enough_is_proved_by_the_first_circuit_above_it(rng, monkeypatch):
-    monkeypatch.setattr(module, "_in_floats", lambda *about: None)  # which finds the last one at once
+    monkeypatch.setattr(module, "_float_optimum", lambda *about: None)  # which finds the last one at once
     dot, stopped = lambda x, y: sum((p * q for p, q in zip(x, y, strict=True)), Fraction(0)), 0
     for _ in range(5):
         E, b, r = draw(rng, 30, 4)

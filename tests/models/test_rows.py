@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.certificates.checker.claim import claimed
+from jaxbound.certificates.checker.claim import claim_of
 from jaxbound.certificates.checker.trajectories import limits as checker_limits
 from jaxbound.certificates.plain import plain_model, plain_samples, plain_sums
 from jaxbound.consistency.host_rows import HostRows
@@ -81,7 +81,7 @@ def test_three_evaluators_give_a_sum_of_any_signals_its_limits(name, rng):
     ends = whole.ends()
     plain = plain_model(relations.model) | {"averages": plain_sums([KINDS[name]], [BOUND])}
     for n in range(WINDOWS):
-        claim = claimed(plain, plain_samples(np.append(u[..., n], [[0]], 0)), plain_samples(y[..., n]))
+        claim = claim_of(plain, plain_samples(np.append(u[..., n], [[0]], 0)), plain_samples(y[..., n]))
         exact = checker_limits(claim)
         for number, row in enumerate(rows.of_sums, rows.single):
             wanted = limits(rows, row, y[..., n])

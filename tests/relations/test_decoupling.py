@@ -220,7 +220,7 @@ def test_tables_read_well(ragot):
     lines = jb.isolability(example(ragot)).text().splitlines()
     assert lines[0].split()[0] == "seen" and lines[2].split() == ["y2", "t", "t", "-", "t", "t", "t", "t"]
     r = jb.parity_relations(paper())
-    assert [shift.relation_text(row, r.model.outputs + r.model.inputs) for row in jb.redundancy(paper()).rows]
+    assert [shift.row_text(row, r.model.outputs + r.model.inputs) for row in jb.redundancy(paper()).rows]
     assert jb.signatures(r).weak.shape == (2, 3)
 
 

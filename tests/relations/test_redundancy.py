@@ -63,7 +63,7 @@ def same_module(rows, others):
 def test_the_basis_of_the_example_is_the_papers(ragot):
     r = jb.redundancy(example(ragot))
     printed = polynomial_rows([ragot["residual_rows_ascending_q_coefs"][name] for name in ("r2", "r3", "r1")])
-    expected = sorted(shift.presentable(row) for row in printed)
+    expected = sorted(shift.presentable_row(row) for row in printed)
     assert sorted(r.rows) == expected and r.degrees.tolist() == [1, 1, 2]
     assert r.text().splitlines()[-1] == "r3: (q^2 - 2 q) y1 - (2 q^2 - 4 q + 2) y3 + (2 q - 2) u2 = 0"
     assert r.My.shape == (3, 3, 4) and r.Mu.shape == (3, 3, 2)

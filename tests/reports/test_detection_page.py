@@ -185,7 +185,7 @@ class TestReport:
 
 
 def test_a_long_relation_is_shown_by_its_largest_terms_and_whole_at_a_click():
-    shown = pages._environment().from_string(
+    shown = pages._template_environment().from_string(
         "{% import 'templates/parts.html' as parts %}{{ parts.relation(text) }}"
     )
     long = "9 a + 8 b + 7 c + 6 d + 5 e + 4 f + 3 g = 0"

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 from validated_case import found_in, recording_of
 
-from jaxbound.reports.validation import charts, write_page
+from jaxbound.reports.validation import output_charts, write_page
 from jaxbound.runs.summary import summarised
 
 
@@ -18,7 +18,7 @@ def test_dates_on_its_axes_are_written_as_in_the_recording():
     recording = SimpleNamespace(
         time=np.arange(60) * 3600.0, stamps=days, axis=days, label=written.__getitem__
     )
-    drawn = charts(found_in(), recording, ["y1"])
+    drawn = output_charts(found_in(), recording, ["y1"])
     assert drawn.ends == (written[0], written[-1]) and not drawn.whole.binned and drawn.near == []
     assert [drawn.clock.text(3600.0 * k) for k in range(60)] == written
 
@@ -37,7 +37,7 @@ def test_it_shows_each_output_and_each_stretch(tmp_path):
 
 def test_faulty_samples_stand_beside_the_band_and_its_middle():
     res = found_in()
-    whole = charts(res, recording_of(res), ["y1", "y2"]).whole
+    whole = output_charts(res, recording_of(res), ["y1", "y2"]).whole
     faulty = np.asarray(res.found.faulty)
     for i in range(2):
         np.testing.assert_array_equal(np.isfinite(whole.low[f"y{i}:faulty"]), faulty[:, i])
@@ -51,7 +51,7 @@ def test_faulty_samples_stand_beside_the_band_and_its_middle():
 
 def test_a_long_recording_is_shown_around_its_first_faulty_sample_too():
     res = found_in(20_000, range(9000, 9003))
-    drawn = charts(res, recording_of(res), ["y1"])
+    drawn = output_charts(res, recording_of(res), ["y1"])
     assert drawn.whole.binned and len(drawn.near) == 1 and drawn.about == "the first faulty sample"
     assert drawn.begin < 9000 < 9002 < drawn.end and drawn.near[0]["n"] == 600
 

@@ -38,7 +38,7 @@ def contradict(c: Document, shown: Sequence[Document], proof: Document) -> None:
     Each relation holds for every trajectory at every v, so a healthy window has a v and errors at which all
     of them are 0.
     """
-    _exclude(proof, relations_of(c, shown), box_of(c))
+    _check_excluded(proof, checked_relations(c, shown), box_of(c))
 
 
 def box_of(c: Document) -> dict[str, Ends]:
@@ -47,7 +47,7 @@ def box_of(c: Document) -> dict[str, Ends]:
     return {name: ends[name] for name in (f"p{k}" for k in range(len(c["variables"])))}
 
 
-def relations_of(c: Document, shown: Sequence[Document]) -> list[Parts]:
+def checked_relations(c: Document, shown: Sequence[Document]) -> list[Parts]:
     """Return the parts of relations at the samples, checked to hold for every trajectory."""
     ends, count, relations = limits(c), len(c["variables"]), []
     for r in shown:
@@ -99,7 +99,7 @@ def _polynomials(parts: Sequence[Value]) -> tuple[Polynomial, list[Polynomial]]:
     return P, [q for q in Q if q]
 
 
-def _exclude(proof: Document, relations: Sequence[Parts], box: Box) -> None:
+def _check_excluded(proof: Document, relations: Sequence[Parts], box: Box) -> None:
     """Check that in a box of v some combination of the relations cannot be 0."""
     if "at" not in proof:
         return _exclude_at_once(proof, relations, box)
@@ -108,8 +108,8 @@ def _exclude(proof: Document, relations: Sequence[Parts], box: Box) -> None:
     lo, hi = box[name]
     insist(lo <= at <= hi, "a box is cut outside of itself")
     # the two parts together are the box
-    _exclude(proof["below"], relations, {**box, name: (lo, at)})
-    _exclude(proof["above"], relations, {**box, name: (at, hi)})
+    _check_excluded(proof["below"], relations, {**box, name: (lo, at)})
+    _check_excluded(proof["above"], relations, {**box, name: (at, hi)})
 
 
 def _exclude_at_once(leaf: Document, relations: Sequence[Parts], box: Box) -> None:

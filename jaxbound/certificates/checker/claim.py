@@ -32,7 +32,7 @@ of a LinearSystem.
 """
 
 
-def claimed(
+def claim_of(
     model: Document,
     u: Sequence[Sequence[F | None]],
     y: Sequence[Sequence[F | None]],
@@ -84,7 +84,7 @@ def claimed(
 def statement(verdict: str, names: Document, claim: Mapping[str, Any]) -> str:
     """Return the sentence that a certificate proves.
 
-    Args: verdict: FAULT or CONSISTENT. names: of a certificate. claim: numbers, as `claimed` returns them.
+    Args: verdict: FAULT or CONSISTENT. names: of a certificate. claim: numbers, as `claim_of` returns them.
     """
     behaviour = "a behaviour"
     if verdict == "FAULT":

@@ -56,7 +56,7 @@ class Condition(NamedTuple):
 
 
 class Model(NamedTuple):
-    """A model file. Fields: numbers: see `claim.claimed`; names: of a certificate; columns: of inputs and
+    """A model file. Fields: numbers: see `claim.claim_of`; names: of a certificate; columns: of inputs and
     outputs; time: column of the time, or None; dt: sampling period; condition: of the test, or None.
     """
 

@@ -38,7 +38,7 @@ def confirm(document: Document, names: dict[str, Any], claim: Document) -> None:
 
     Args:
         document: the certificate as JSON gives it. names, claim: names and numbers that are claimed, from the
-            model and the samples themselves (`claim.claimed`).
+            model and the samples themselves (`claim.claim_of`).
 
     Raises:
         ArithmeticError, LookupError, TypeError, ValueError: it does not, ValueError says why in a sentence.

@@ -8,7 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, cast
 
-from jaxbound.certificates.checker.claim import DOUBLE, SINGLE, claimed
+from jaxbound.certificates.checker.claim import DOUBLE, SINGLE, claim_of
 from jaxbound.certificates.checker.files import read_model, read_samples
 from jaxbound.certificates.checker.proof import confirm
 from jaxbound.certificates.checker.sets import decide
@@ -95,7 +95,7 @@ def against(
     contradict, all of them do.
 
     Args:
-        model, u, y, precision, first, factors: as of `claimed`. names: of the certificate.
+        model, u, y, precision, first, factors: as of `claim_of`. names: of the certificate.
     """
     numbers, lags = document["numbers"], None
     if "lags" in numbers:
@@ -107,7 +107,7 @@ def against(
         )
     if document["certificate"] == "FAULT" and not {"averages", "lags"} & set(numbers):
         model = {**model, "averages": []}
-    confirm(document, names, claimed(model, u, y, precision, lags, first, factors))
+    confirm(document, names, claim_of(model, u, y, precision, lags, first, factors))
 
 
 def _check(document: Document, args: argparse.Namespace) -> None:
@@ -134,13 +134,13 @@ def _check(document: Document, args: argparse.Namespace) -> None:
     insist(shown is None or times is not None, "the certificate shows times: name their column by --time")
     names = model.names | {"sample": sample, "times": None}
     if shown is not None and times is not None:
-        names["times"] = _labels(shown, times, model.dt)
+        names["times"] = _shown_times(shown, times, model.dt)
     m = len(model.numbers["offset_u"])
     u, y = [row[:m] for row in rows], [row[m:] for row in rows]
     against(document, model.numbers, u, y, args.precision, names)
 
 
-def _labels(shown: list[str], times: list[str], dt: Fraction) -> list[str]:
+def _shown_times(shown: list[str], times: list[str], dt: Fraction) -> list[str]:
     """Return the times as they are shown where each is that of the data, else those of the data."""
     if len(shown) != len(times):
         return times

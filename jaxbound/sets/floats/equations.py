@@ -36,7 +36,7 @@ def bind(eqn: JaxprEqn, *values: Any, **changed: Any) -> list[Any]:
     return out if eqn.primitive.multiple_results else [out]
 
 
-def inside(eqn: JaxprEqn) -> list[ClosedJaxpr] | None:
+def inner_jaxprs(eqn: JaxprEqn) -> list[ClosedJaxpr] | None:
     """Return the jaxprs that a call, a branch or a loop evaluates; None for a primitive."""
     if eqn.primitive.name in LOOPS_AND_BRANCHES:
         return [*_jaxprs(eqn.params)]

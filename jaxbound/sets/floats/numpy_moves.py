@@ -25,7 +25,7 @@ def _iota(params):
 
 
 @_entry("platform_index")
-def _platform(params):
+def _platform_branch(params):
     """Return the branch of a CPU, or the one for all that is not named."""
     index = next(i for i, names in enumerate(params["platforms"]) if names is None or "cpu" in names)
     return lambda: np.asarray(index, np.int32)
@@ -51,14 +51,14 @@ def _broadcast(params):
     return broadcast
 
 
-def _with(name: str, parameter: str) -> Callable[[dict], Function]:
+def _method_with(name: str, parameter: str) -> Callable[[dict], Function]:
     """Return an entry for a method of arrays that takes one parameter."""
     return lambda params: operator.methodcaller(name, params[parameter])
 
 
-MOVED["reshape"] = _with("reshape", "new_sizes")
-MOVED["squeeze"] = _with("squeeze", "dimensions")
-MOVED["transpose"] = _with("transpose", "permutation")
+MOVED["reshape"] = _method_with("reshape", "new_sizes")
+MOVED["squeeze"] = _method_with("squeeze", "dimensions")
+MOVED["transpose"] = _method_with("transpose", "permutation")
 MOVED["rev"] = lambda params: lambda x: np.flip(x, params["dimensions"])
 MOVED["tile"] = lambda params: lambda x: np.tile(x, params["reps"])
 MOVED["concatenate"] = lambda params: lambda *parts: np.concatenate(parts, params["dimension"])

@@ -190,7 +190,7 @@ def _inward(x, up):
     return (pattern > 0) & (pattern < least) if up else (pattern > first) & (pattern < first + least)
 
 
-def readable(lo: jax.Array, hi: jax.Array) -> tuple[jax.Array, jax.Array]:
+def readable_bounds(lo: jax.Array, hi: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return bounds that compiled code reads as they are or further out: subnormal ones settled, none
     (infinite) for NaN.
     """
@@ -291,17 +291,17 @@ def round_up(value: object, dtype: DTypeLike = np.float64) -> np.ndarray:
     """Return the float of `dtype` next above or equal to `value` (an array of floats, or of any exact
     numbers), on the host.
     """
-    return _directed(value, dtype, np.inf)
+    return _rounded_towards(value, dtype, np.inf)
 
 
 def round_down(value: object, dtype: DTypeLike = np.float64) -> np.ndarray:
     """Return the float of `dtype` next below or equal to `value` (an array of floats, or of any exact
     numbers), on the host.
     """
-    return _directed(value, dtype, -np.inf)
+    return _rounded_towards(value, dtype, -np.inf)
 
 
-def _directed(value, dtype, towards):
+def _rounded_towards(value, dtype, towards):
     value = np.asarray(value)
     if value.dtype.kind != "f":  # Python's comparisons of numbers are exact; numerals become Fractions
         items = [Fraction(v) if isinstance(v, str) else v for v in value.ravel().tolist()]

@@ -62,7 +62,7 @@ def _clamp(low: jax.Array, x: jax.Array, high: jax.Array, **_: object) -> jax.Ar
     return _less(_greater(x, low), high)
 
 
-def _folded(pick: Callable[[jax.Array, jax.Array], jax.Array]) -> Callable[..., jax.Array]:
+def _reduced_by_halves(pick: Callable[[jax.Array, jax.Array], jax.Array]) -> Callable[..., jax.Array]:
     """Reduce along axes by comparing halves."""
 
     def reduce(x, axes, **_):
@@ -81,6 +81,6 @@ SELECTED: dict[str, Callable[..., jax.Array]] = {
     "max": _greater,
     "min": _less,
     "clamp": _clamp,
-    "reduce_max": _folded(_greater),
-    "reduce_min": _folded(_less),
+    "reduce_max": _reduced_by_halves(_greater),
+    "reduce_min": _reduced_by_halves(_less),
 }

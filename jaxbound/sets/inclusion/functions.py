@@ -72,7 +72,7 @@ def frozen(f: Called) -> Called:
         (True, False, 6.0)
     """
     try:
-        key, copy = _function(f, 0)
+        key, copy = _function_parts(f, 0)
     except _Unknown:
         if type(f) is not FunctionType:  # others may be equal to one another, as JAX sees them
             return f
@@ -114,10 +114,10 @@ def _part(x: object, depth: int) -> _Part:
         parts = [_part(v, depth + 1) for v in x]
         return _Part((kind, tuple(p.key for p in parts)), tuple(p.copy for p in parts))
     if isinstance(x, jax.Array | np.generic) or (isinstance(x, np.ndarray) and kind is np.ndarray):
-        return _array(x)
+        return _array_parts(x)
     if _provided(x):
         return _Part(("provided", id(x)), x)
-    return _function(x, depth)
+    return _function_parts(x, depth)
 
 
 def _named(values: Mapping[str, object], depth: int) -> _Part:
@@ -141,7 +141,7 @@ PLAIN: dict[type, Callable[..., Hashable]] = {
 }
 
 
-def _array(x: Array | np.generic) -> _Part:
+def _array_parts(x: Array | np.generic) -> _Part:
     """Return the parts of an array, a copy that cannot be written."""
     if isinstance(x, jax.core.Tracer) or x.dtype.kind not in "biufc" or x.nbytes > LARGEST:
         raise _Unknown
@@ -173,7 +173,7 @@ def _provided(x: object) -> bool:
     return getattr(sys.modules.get(module), name, None) is x
 
 
-def _function(f: object, depth: int) -> _Part:
+def _function_parts(f: object, depth: int) -> _Part:
     """Return the parts of a function of the user's, or of a `partial` of one.
 
     Raises:

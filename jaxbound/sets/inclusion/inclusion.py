@@ -127,12 +127,12 @@ def _run(kernel: Callable[..., Any], F: Inclusion, args: tuple[Any, ...], option
     if not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((args, options))):
         F = Inclusion(frozen(F.f), F.method)
     try:
-        return kernel(F, _widened([_leaf(x) for x in leaves], sets), structure, sets)
+        return kernel(F, _in_one_dtype([_leaf(x) for x in leaves], sets), structure, sets)
     except NotImplementedError as e:
         raise NotImplementedError(*e.args) from None
 
 
-def _widened(leaves, sets):
+def _in_one_dtype(leaves, sets):
     """Return the leaves with all Intervals of floats in the wider of their types, so that one vector can hold
     them.
     """

@@ -16,7 +16,7 @@ import numpy as np
 from jax.extend.core import Jaxpr, JaxprEqn, Literal
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.floats.equations import bind, body, by_key, dtype_of, inexact, inside
+from jaxbound.sets.floats.equations import bind, body, by_key, dtype_of, inexact, inner_jaxprs
 from jaxbound.sets.inclusion.lifted import enclose, settled
 from jaxbound.sets.inclusion.predicates import least, most, whole
 from jaxbound.sets.inclusion.primitives import DEFINED, MOVED, RISING, RULES, STEADY, WHOLE
@@ -66,7 +66,7 @@ def evaluate(
 
 def _door(x: Value) -> Value:
     """Return an argument that compiled code reads as it is; a bound that is NaN bounds nothing."""
-    return computed(*rounding.readable(x.lo, x.hi)) if isinstance(x, Interval) and not whole(x) else x
+    return computed(*rounding.readable_bounds(x.lo, x.hi)) if isinstance(x, Interval) and not whole(x) else x
 
 
 def _follow(jaxpr, consts, args, absent):
@@ -122,7 +122,7 @@ def _collect(jaxpr: Jaxpr, missing: set[str], types: set[str]) -> None:
         name, variables = eqn.primitive.name, (*eqn.invars, *eqn.outvars)
         floats = [dtype_of(v) for v in variables if inexact(v.aval)]
         types |= {str(d) for d in floats if d not in (np.float32, np.float64)}
-        inner = inside(eqn)
+        inner = inner_jaxprs(eqn)
         if inner is not None:
             for part in inner:
                 _collect(part.jaxpr, missing, types)
@@ -288,7 +288,7 @@ def _marked(values, absent):
 
 def _scan(values, absent, params):
     (consts, carry, xs), (no_consts, no_carry, no_xs) = (
-        _split(v, *_counts(params)) for v in (values, absent)
+        _split_values(v, *_scan_counts(params)) for v in (values, absent)
     )
     inner, count = params["jaxpr"], len(carry)
     one = lambda carry, x, away: _follow(
@@ -308,7 +308,7 @@ def _scan(values, absent, params):
     return [*carry, *ys], [*away, *jax.tree.map(jnp.any, found)], jnp.all(fine)
 
 
-def _counts(params):
+def _scan_counts(params):
     """Return how many of the values of a scan are constants, and how many are its carry; jax 0.12 says it in
     another form.
     """
@@ -318,7 +318,7 @@ def _counts(params):
     return len(consts), len(carry)
 
 
-def _split(values, *counts):
+def _split_values(values, *counts):
     out = []
     for n in counts:
         out.append(values[:n])
@@ -332,7 +332,7 @@ def _while(values, absent, params):
     """
     counts = params["cond_nconsts"], params["body_nconsts"]
     (cond_consts, body_consts, carry), (no_cond, no_body, away) = (
-        _split(v, *counts) for v in (values, absent)
+        _split_values(v, *counts) for v in (values, absent)
     )
     cond, inner = params["cond_jaxpr"], params["body_jaxpr"]
     test = lambda carry, away: _follow(cond.jaxpr, cond.consts, [*cond_consts, *carry], [*no_cond, *away])[0][

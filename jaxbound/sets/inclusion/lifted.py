@@ -133,7 +133,7 @@ def _scaled_up(x: Interval, size: float | jax.Array) -> Interval:
     return kept_sign(x, *rounding.outward(x.lo * size, x.hi * size))
 
 
-def summed(x: Interval, axes: Sequence[int], **_: object) -> Interval:
+def summed_along(x: Interval, axes: Sequence[int], **_: object) -> Interval:
     """Add along axes; nonnegative terms keep a nonnegative sum."""
     if not axes:
         return x
@@ -190,7 +190,7 @@ def contracted(
     left = jax.tree.map(lambda v: v.transpose(*bx, *fx, *cx).reshape(B, M, 1, K), x)
     right = jax.tree.map(lambda v: v.transpose(*by, *fy, *cy).reshape(B, 1, N, K), y)
     left, right = (computed(v.lo, v.hi) for v in (left, right))  # moved, and settled as before
-    out = summed(multiplied(left, right, known=known), axes=(3,))
+    out = summed_along(multiplied(left, right, known=known), axes=(3,))
     return jax.tree.map(lambda v: v.reshape(*sizes(x, bx), *sizes(x, fx), *sizes(y, fy)), out)
 
 
@@ -211,7 +211,7 @@ def scattered(
         alone = lambda k: bind(jnp.zeros_like(origin), indices, jnp.where(number == k, updates, 0))
         return jnp.concatenate([origin[None], jax.vmap(alone)(jnp.arange(count))])
 
-    return summed(Interval(terms(x.lo, updates.lo), terms(x.hi, updates.hi)), axes=(0,))
+    return summed_along(Interval(terms(x.lo, updates.lo), terms(x.hi, updates.hi)), axes=(0,))
 
 
 def selected(which: Interval, *cases: Interval, **_: object) -> Interval:

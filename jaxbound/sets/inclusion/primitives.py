@@ -94,7 +94,7 @@ RULES: dict[str, Rule] = COMPARISONS | {
     "expm1": lifted.expm1,
     "log1p": lifted.log1p,
     "logistic": lifted.logistic,
-    "reduce_sum": lifted.summed,
+    "reduce_sum": lifted.summed_along,
     "reduce_prod": lifted.product,
     "cumsum": lifted.scanned(lifted.added),
     "cumprod": lifted.scanned(mul),
@@ -144,16 +144,16 @@ STEADY: dict[str, Callable[..., jax.Array]] = {
     "rem": lambda out, x, y, **_: _constant(jnp.trunc, div(x, y)),
     "tan": lambda out, x, **_: jnp.isfinite(out.lo) & jnp.isfinite(out.hi),
     "atan2": lambda out, y, x, **_: (x.lo > 0) | _nonzero(y),
-    "sign": lambda out, x, **_: _decided(out),
-    "floor": lambda out, x, **_: _decided(out),
-    "ceil": lambda out, x, **_: _decided(out),
-    "round": lambda out, x, **_: _decided(out),
-    "select_n": lambda out, which, *cases, **_: _decided(which),
-    "convert_element_type": lambda out, x, **_: _decided(x) | (not whole(x)) | whole(out),
+    "sign": lambda out, x, **_: _is_point(out),
+    "floor": lambda out, x, **_: _is_point(out),
+    "ceil": lambda out, x, **_: _is_point(out),
+    "round": lambda out, x, **_: _is_point(out),
+    "select_n": lambda out, which, *cases, **_: _is_point(which),
+    "convert_element_type": lambda out, x, **_: _is_point(x) | (not whole(x)) | whole(out),
 }
 
 
-def _decided(x: Interval) -> jax.Array:
+def _is_point(x: Interval) -> jax.Array:
     return x.lo == x.hi
 
 

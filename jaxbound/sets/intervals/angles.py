@@ -18,14 +18,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets.floats import rounding
-from jaxbound.sets.intervals.approximations import ODD, parts, series, two_parts, with_derivative
+from jaxbound.sets.intervals.approximations import ODD, series, split_floats, two_parts, with_derivative
 
 LARGEST_ANGLE = {8: 2.0**20, 4: 2.0**11}  # by itemsize: multiples of the parts of pi/2 are exact up to here
 PI = Fraction("3.14159265358979323846264338327950288419716939937510582097494459230781640628620899")
 ATAN_1_4 = Fraction("0.24497866312686415417208248121127581091414409838118406712737591466735")
 ATAN_1_2 = Fraction("0.46364760900080611621425623146121440202853705428612026381093308872018")
 
-PI_HALVES = {8: parts(PI / 2, (32, 65, 98)), 4: parts(PI / 2, (11, 23, 35, 47))}
+PI_HALVES = {8: split_floats(PI / 2, (32, 65, 98)), 4: split_floats(PI / 2, (11, 23, 35, 47))}
 SHORT = {8: 51, 4: 22}  # one float and its rest
 ANGLES = {
     c: two_parts(v, SHORT)

@@ -66,7 +66,7 @@ LOG_2 = Fraction("0.693147180559945309417232121458176568075500134360255254120680
 LOG_10 = Fraction("2.30258509299404568401799145468436420760110148862877297603332790096757260967735248")
 
 
-def parts(value: Fraction, grids: Sequence[int]) -> list[float]:
+def split_floats(value: Fraction, grids: Sequence[int]) -> list[float]:
     """Split an exact number into floats: the first ones multiples of 2^-g for g in grids, the last one the
     rest.
     """
@@ -82,7 +82,7 @@ GRID = {8: 42, 4: 15}  # multiples of log 2 with k up to 2^11 (2^8) are exact on
 
 def two_parts(value: Fraction, grid: Mapping[int, int]) -> dict[int, list[float]]:
     """Split an exact number for each size of float into a multiple of 2^-g and the rest."""
-    return {size: parts(value, (digits,)) for size, digits in grid.items()}
+    return {size: split_floats(value, (digits,)) for size, digits in grid.items()}
 
 
 BASES = {  # base b: log_b 2 in two parts, 1 / log_b 2, log b

@@ -70,7 +70,7 @@ def _elementary(f: Callable[..., Interval]) -> Callable[..., Interval]:
 
     @jax.jit
     def compiled(*xs):
-        sets = [Interval(*rounding.readable(x.lo, x.hi)) for x in xs]
+        sets = [Interval(*rounding.readable_bounds(x.lo, x.hi)) for x in xs]
         out = f(*sets)
         lo = jnp.where(reduce(jnp.logical_or, [x.lo == jnp.inf for x in sets]), jnp.inf, out.lo)
         return Interval(

@@ -59,22 +59,22 @@ def tighten(M: Interval, h: Interval, box: Interval, steps: int) -> Interval:
     Encloses: every solution in the box, whatever the search finds.
     """
     n = box.shape[0]
-    w = multipliers(M, h, box, steps)
+    w = searched_multipliers(M, h, box, steps)
     targets = jnp.asarray(np.concatenate([np.eye(n), -np.eye(n)]), box.dtype)  # (2n, n): +x_j, then -x_j
-    bound = _bound(M, h, box, w, targets)
+    bound = _upper_bound(M, h, box, w, targets)
     new = Interval(-bound[n:], bound[:n])
     finite = jnp.all(jnp.isfinite(box.lo) & jnp.isfinite(box.hi), 0)[None]
     out = intersection(box, new)
     return Interval(jnp.where(finite, out.lo, box.lo), jnp.where(finite, out.hi, box.hi))
 
 
-def _bound(M: Interval, h: Interval, X: Interval, w: jax.Array, targets: jax.Array) -> jax.Array:
+def _upper_bound(M: Interval, h: Interval, X: Interval, w: jax.Array, targets: jax.Array) -> jax.Array:
     """Return an upper bound (2n, N) of e x for each target e, by its multipliers w (2n, r, N); infinity where
     there is none.
     """
     r, n = M.shape[:2]
     gamma, floor = rounding.product_error(r + n + 2, X.dtype)
-    (middle, radius, size), (hm, hr, hs) = _ball(M), _ball(h)
+    (middle, radius, size), (hm, hr, hs) = _middle_and_size(M), _middle_and_size(h)
     e, reach, rows = targets[..., None], jnp.abs(w), range(r)
     most_w = 1 + jnp.max(reach, 1)
     far = floor * most_w * (1 + jnp.max(size, (0, 1)))[None]
@@ -90,15 +90,15 @@ def _bound(M: Interval, h: Interval, X: Interval, w: jax.Array, targets: jax.Arr
     return jnp.where(jnp.isnan(found), jnp.inf, found)
 
 
-def _ball(x: Interval) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return middle, radius and size of x; `_bound` counts their rounding as that of a factor; NaN where x is
-    not bounded.
+def _middle_and_size(x: Interval) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return middle, radius and size of x; `_upper_bound` counts their rounding as that of a factor; NaN
+    where x is not bounded.
     """
     middle = 0.5 * x.lo + 0.5 * x.hi
     return middle, jnp.maximum(middle - x.lo, x.hi - middle), jnp.maximum(jnp.abs(x.lo), jnp.abs(x.hi))
 
 
-def multipliers(M: Interval, h: Interval, X: Interval, steps: int) -> jax.Array:
+def searched_multipliers(M: Interval, h: Interval, X: Interval, steps: int) -> jax.Array:
     """Search multipliers (2n, r, N) of the rows, in plain floats, by exchanges from the box: no claim is
     made.
 
@@ -180,7 +180,7 @@ def _half_spaces(M: Interval, h: Interval, X: Interval) -> tuple[jax.Array, jax.
     (2r, N) put on its rows.
     """
     r, n = M.shape[:2]
-    middle, radius, _ = _ball(M)
+    middle, radius, _ = _middle_and_size(M)
     wide = X.hi - X.lo
     chord = (jnp.abs(X.hi) - jnp.abs(X.lo)) / jnp.where(wide > 0, wide, 1)
     slope = jnp.where(X.lo >= 0, 1, jnp.where(X.hi <= 0, -1, chord)).astype(X.dtype)

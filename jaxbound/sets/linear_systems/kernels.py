@@ -24,7 +24,7 @@ from jaxbound.sets.intervals.comparisons import disjoint
 from jaxbound.sets.intervals.interval import Interval, intersection, mag, mig
 from jaxbound.sets.intervals.interval import sum as interval_sum
 from jaxbound.sets.linear_systems.products import (
-    at,
+    entry_at,
     extremes,
     minus,
     over,
@@ -52,7 +52,7 @@ class Factored:
     inverse: tuple[jax.Array, jax.Array, jax.Array]  # of <A>, as `comparison_inverse` gives it
 
 
-def factor(A: Interval) -> Factored:
+def factored(A: Interval) -> Factored:
     """Prepare a square system: triangular factors without exchange of rows, and bounds of the inverse of its
     comparison matrix.
     """
@@ -111,7 +111,7 @@ def comparison_inverse(A: Interval) -> tuple[jax.Array, jax.Array, jax.Array]:
     eye = jnp.eye(n, dtype=A.dtype)
     S = _comparison(A, eye[..., None])
     near = jax.lax.fori_loop(
-        0, n, lambda k, a: solved_for(a, at(eye, k, 0)[:, None], k), S
+        0, n, lambda k, a: solved_for(a, entry_at(eye, k, 0)[:, None], k), S
     )  # pivots of such a matrix need no exchange
     v = apart(lambda near: jnp.maximum(total([near[:, k] for k in range(n)]), rounding.tiny(near.dtype)))(
         near
@@ -146,7 +146,7 @@ def _proved(
     return near, v, omega
 
 
-def enclose(F: Factored, b: Interval, method: str, start: Interval) -> Interval:
+def enclosed_solutions(F: Factored, b: Interval, method: str, start: Interval) -> Interval:
     """Return an enclosure (n, N) of the solutions in the start box: "gauss", "hbr", or of both boxes what
     sweeps over the rows leave.
     """
@@ -195,8 +195,8 @@ def _hansen_bliek_rohn(F: Factored, b: Interval) -> Interval:
 def hansen_bliek_rohn(
     A: Interval, inverse: tuple[jax.Array, jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array, Interval]:
-    """Return upper bounds of N, lower bounds of N_ii, and A_ii + [-alpha_i, alpha_i], see `enclose`, for N as
-    `comparison_inverse` gives it.
+    """Return upper bounds of N, lower bounds of N_ii, and A_ii + [-alpha_i, alpha_i], see
+    `enclosed_solutions`, for N as `comparison_inverse` gives it.
     """
     return _above(*inverse), *_divisor(A, *inverse)
 
@@ -287,10 +287,10 @@ def contract(M: Interval, h: Interval, x: Interval) -> Interval:
 
     def row(i, carry):
         x, gone = carry
-        m, right = at(M, i, 0), at(h, i, 0)
+        m, right = entry_at(M, i, 0), entry_at(h, i, 0)
         terms = _terms(m, x)
         new = _each(x, terms, m, right, eye)
-        return _kept(new, x, terms, right, gone)
+        return _kept_sweep(new, x, terms, right, gone)
 
     x = Interval(jnp.broadcast_to(x.lo, shape), jnp.broadcast_to(x.hi, shape))
     x, gone = jax.lax.fori_loop(0, M.shape[0], row, (x, jnp.broadcast_to(gone, shape[-1:])))
@@ -307,7 +307,7 @@ def _each(x: Interval, terms: Interval, m: Interval, right: Interval, eye: jax.A
 
 
 @apart
-def _kept(
+def _kept_sweep(
     new: Interval, x: Interval, terms: Interval, right: Interval, gone: jax.Array
 ) -> tuple[Interval, jax.Array]:
     lost = jnp.any(new.is_empty, 0) | disjoint(interval_sum(terms), right)

@@ -25,15 +25,15 @@ def preconditioner(M: Interval, kind: str = "midpoint") -> jax.Array | None:
     middle = _middle(M.lo, M.hi)
     r, n = middle.shape[:2]
     if r == n:
-        return inverse(middle)
-    near = inverse(apart(lambda m: total([m[i, :, None] * m[i, None] for i in range(r)]))(middle))
+        return float_inverse(middle)
+    near = float_inverse(apart(lambda m: total([m[i, :, None] * m[i, None] for i in range(r)]))(middle))
     return apart(lambda near, m: total([near[:, k, None] * m[None, :, k] for k in range(n)]))(near, middle)
 
 
 _middle = apart(lambda lo, hi: 0.5 * lo + 0.5 * hi)
 
 
-def inverse(a: jax.Array) -> jax.Array:
+def float_inverse(a: jax.Array) -> jax.Array:
     """Return a float inverse of a (n, n, N): Gauss-Jordan in place, each step takes the row with the largest
     entry; no claim is made.
     """
@@ -126,7 +126,7 @@ def _interval(middle: jax.Array, radius: jax.Array) -> Interval:
     return Interval(jnp.where(known, middle - radius, -jnp.inf), jnp.where(known, middle + radius, jnp.inf))
 
 
-def at(x: Tree, k: ArrayLike, axis: int) -> Tree:
+def entry_at(x: Tree, k: ArrayLike, axis: int) -> Tree:
     """Return entry k, which may be traced, along an axis."""
     return jax.tree.map(lambda a: jax.lax.dynamic_index_in_dim(a, k, axis, keepdims=False), x)
 
@@ -138,7 +138,7 @@ def where(condition: jax.Array, x: Interval, y: Interval) -> Interval:
 
 def product(x: Interval, y: Interval) -> Interval:
     """Enclose x y for non-empty Intervals; everything where 0 meets infinity."""
-    return _closed(*extremes(x, y))
+    return _closed_outward(*extremes(x, y))
 
 
 def extremes(x: Interval, y: Interval) -> tuple[jax.Array, jax.Array]:
@@ -154,14 +154,14 @@ def _ends(ends: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
 
 def minus(x: Interval, y: Interval) -> Interval:
     """Enclose x - y for non-empty Intervals."""
-    return _closed(x.lo - y.hi, x.hi - y.lo)
+    return _closed_outward(x.lo - y.hi, x.hi - y.lo)
 
 
 def reciprocal(y: Interval) -> Interval:
     """Enclose 1 / y for a non-empty Interval: everything where y holds 0, or is too large. See `over`."""
     sound = _divides(y)
     lo, hi = (jnp.where(sound, 1 / jnp.where(sound, end, 1), jnp.nan) for end in (y.hi, y.lo))
-    return _closed(lo, hi)
+    return _closed_outward(lo, hi)
 
 
 def _divides(y: Interval) -> jax.Array:
@@ -180,10 +180,10 @@ def over(x: Interval, y: Interval) -> Interval:
     sound = _divides(y)
     lo, hi = (jnp.where(sound, end, 1) for end in (y.lo, y.hi))
     low, high = _ends([a / b for a in (x.lo, x.hi) for b in jax.lax.optimization_barrier((lo, hi))])
-    return _closed(jnp.where(sound, low, jnp.nan), jnp.where(sound, high, jnp.nan))
+    return _closed_outward(jnp.where(sound, low, jnp.nan), jnp.where(sound, high, jnp.nan))
 
 
-def _closed(lo: jax.Array, hi: jax.Array) -> Interval:
+def _closed_outward(lo: jax.Array, hi: jax.Array) -> Interval:
     """Round outward; NaN gives everything."""
     lo, hi = rounding.outward(lo, hi)
     return Interval(jnp.where(jnp.isnan(lo), -jnp.inf, lo), jnp.where(jnp.isnan(hi), jnp.inf, hi))

@@ -15,7 +15,7 @@ from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.unrolled import apart
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.linear_systems.hull import orthant_hull
-from jaxbound.sets.linear_systems.kernels import Factored, contract, enclose, factor
+from jaxbound.sets.linear_systems.kernels import Factored, contract, enclosed_solutions, factored
 from jaxbound.sets.linear_systems.products import preconditioner, times
 from jaxbound.text.objects import readable
 
@@ -155,7 +155,7 @@ def _solve(
     def block(*parts):
         m, right, box = (_last(part) for part in parts)
         C, F = prepared or _prepared(m, precondition)
-        return _enclosed(m, right, C, F, method, box)
+        return _enclosed_block(m, right, C, F, method, box)
 
     if count <= BLOCK:
         return block(*system)
@@ -178,14 +178,14 @@ _last = apart(lambda x: jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), x))
 
 def _prepared(M: Interval, precondition: str) -> tuple[jax.Array | None, Factored]:
     C = preconditioner(M, precondition)
-    return C, factor(M if C is None else times(C, M))
+    return C, factored(M if C is None else times(C, M))
 
 
-def _enclosed(
+def _enclosed_block(
     M: Interval, h: Interval, C: jax.Array | None, F: Factored, method: str, start: Interval
 ) -> tuple[Interval, jax.Array]:
     """Enclose one block; shapes (r, n, N or 1), (r, N or 1), ..., (n, N or 1)."""
-    box = enclose(F, h if C is None else times(C, h), "hbr" if method == "hull" else method, start)
+    box = enclosed_solutions(F, h if C is None else times(C, h), "hbr" if method == "hull" else method, start)
     if method == "hull":
         box = orthant_hull(M, h, box)
     elif M.shape[0] > M.shape[1]:

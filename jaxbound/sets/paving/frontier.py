@@ -2,7 +2,7 @@
 
 A level is judged as a whole; what is neither excluded nor settled is cut in two. That gives the same boxes
 and counts as one target at a time, first in, first out. Compiled kernels judge blocks of one size
-(`in_blocks`).
+(`judged_in_blocks`).
 """
 
 from collections.abc import Callable, Iterator
@@ -129,7 +129,7 @@ def explore(
         level += 1
 
 
-def in_blocks(
+def judged_in_blocks(
     kernel: Kernel, lo: np.ndarray, hi: np.ndarray, owner: np.ndarray, size: int = BLOCK
 ) -> tuple[Any, ...]:
     """Return the verdicts of a kernel on boxes (n, N), calling it with blocks of one size only: a tuple, N

@@ -28,7 +28,7 @@ from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.inclusion.functions import forgets, frozen
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
 from jaxbound.sets.paving.existence import components, continuous, is_interval_function, search
-from jaxbound.sets.paving.frontier import BLOCK, Boxes, Cover, Kernel, Verdicts, explore, in_blocks
+from jaxbound.sets.paving.frontier import BLOCK, Boxes, Cover, Kernel, Verdicts, explore, judged_in_blocks
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import reporter
 
@@ -186,7 +186,7 @@ def pave(
             raise ValueError(
                 f"{q} pieces of {len(lo)} variables are {cells} boxes, more than max_boxes = {most}"
             )
-        whole, meets = _cells(lo, hi, int(q)), of_targets(partial(_meets, f))
+        whole, meets = _cells(lo, hi, int(q)), of_targets(partial(_image_meets, f))
         none = Boxes(lo[:, None], hi[:, None], np.zeros(1, np.int32)).chosen(np.zeros(1, bool))
         kept, many = [], max(1, 2**20 // cells)  # targets at once
         for k in range(0, count, many):
@@ -194,7 +194,7 @@ def pave(
             low, high = (np.tile(x, len(some)) for x in whole)
             own = Boxes(low, high, np.repeat(some, cells))
             if target is not None:
-                own = own.chosen(in_blocks(meets, *own, EXCLUDED)[0])
+                own = own.chosen(judged_in_blocks(meets, *own, EXCLUDED)[0])
             kept.append(own)
             report((k + len(some)) / count)
         cover = Cover(none.beside(*kept), none, np.full(count, cells), 0)
@@ -209,13 +209,13 @@ def pave(
         inner = solutions == "all" and thick
         one = partial(_search, f, box, solutions == "all", region)
         if solutions == "none":
-            one = partial(_meets, f)
+            one = partial(_image_meets, f)
         elif inner:
             one = partial(_inner, f)
         kernel, size = of_targets(one), EXCLUDED if solutions == "none" else BLOCK
 
         def judge(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[np.ndarray]:
-            return Verdicts(*in_blocks(kernel, lo, hi, owner, size))
+            return Verdicts(*judged_in_blocks(kernel, lo, hi, owner, size))
 
         axis = "kernel" if cut == "smear" else cut
         for cover in explore(judge, lo, hi, count, depth, most, axis, solutions == "one"):
@@ -299,7 +299,7 @@ def _of_targets(goal: Interval, args: tuple[Any, ...], kernel: Callable[..., Any
 
 @forgets
 @kernel(static_argnums=0)
-def _meets(f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]) -> jax.Array:
+def _image_meets(f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]) -> jax.Array:
     """True for each box (n, N) whose image meets its target (closed sets)."""
     return _touch(_evaluate(f, X, T, args), T)
 
@@ -349,7 +349,7 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
         proofs = proofs.chosen(np.flatnonzero(np.diff(proofs.owner, prepend=-1)))
     lo, hi, owner = proofs
     for _ in range(3):
-        said = Verdicts(*in_blocks(kernel, lo, hi, owner))
+        said = Verdicts(*judged_in_blocks(kernel, lo, hi, owner))
         assert said.proved is not None and said.proof is not None
         smaller = said.proved & ((said.proof[1] - said.proof[0]).max(0) < (hi - lo).max(0))
         lo, hi = (np.where(smaller, new, old) for new, old in zip(said.proof, (lo, hi), strict=True))
@@ -366,7 +366,7 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
         )
         if len(i):
             whole = np.minimum(lo[:, i], lo[:, i + shift]), np.maximum(hi[:, i], hi[:, i + shift])
-            again[i + shift] |= Verdicts(*in_blocks(kernel, *whole, owner[i])).proved
+            again[i + shift] |= Verdicts(*judged_in_blocks(kernel, *whole, owner[i])).proved
     return Boxes(lo, hi, owner).chosen(~again)
 
 
@@ -375,7 +375,7 @@ def _images(kernel: Kernel, m: int, boxes: Boxes) -> Interval:
     if not len(boxes.owner):
         none = jnp.zeros((0, m), boxes.lo.dtype)
         return Interval(none, none)
-    ends = in_blocks(kernel, *boxes)
+    ends = judged_in_blocks(kernel, *boxes)
     return Interval(*(jnp.asarray(np.stack(x, 1)) for x in zip(*((x.lo, x.hi) for x in ends), strict=True)))
 
 

@@ -42,7 +42,7 @@ def document(
     numbers = {
         "sets": [{name: v[at[0]].tolist() for name, v in zip(parts, x, strict=True)} for x in question.sets],
         "point": None if question.points is None else question.points[at].tolist(),
-        **_proof(question, at, meets, direction, point),
+        **_proof_entry(question, at, meets, direction, point),
     }
     numbers = jax.tree.map(Fraction, numbers)
     numbers["sum"] = sum(jax.tree.leaves(numbers), Fraction(0))
@@ -54,7 +54,7 @@ def document(
     }
 
 
-def _proof(
+def _proof_entry(
     question: Question, at: tuple[int, int], meets: bool, direction: np.ndarray, point: np.ndarray
 ) -> dict[str, Any]:
     """Return {"x": ..}, {"X": ..} or {"l": ..}: the direction as it is where it proves the answer, else in

@@ -41,7 +41,7 @@ def contained(
     """
     xp, D = library(D), image.scaled(D)
     l, corner, off, reach = _climbed(image, D)
-    best = proof.unit(directions(corner))
+    best = proof.in_largest_entry(directions(corner))
     l = xp.where((proof.gauge_above(image, corner, best, off) > reach[:, None])[..., None], best, l)
     X = _encoded(image, D, ~(reach > 1) & xp.isfinite(image.loss))
     l, corner, X = settled(l, corner, X)
@@ -56,7 +56,7 @@ def _climbed(image: proof.Image[Array], D: Array) -> tuple[Any, Any, Any, Any]:
     """
     xp, (S, _, m), dtype = library(D), D.shape, D.dtype
     gamma, floor = rounding.product_error(D.shape[1], dtype)
-    off = (gamma * abs(D).sum(1) + 2 * floor * (1 + proof.largest(D, (1, 2)))[:, None])[:, None]
+    off = (gamma * abs(D).sum(1) + 2 * floor * (1 + proof.largest_size(D, (1, 2)))[:, None])[:, None]
 
     def climb(state):
         l, best, corner, least, going = state
@@ -64,7 +64,7 @@ def _climbed(image: proof.Image[Array], D: Array) -> tuple[Any, Any, Any, Any]:
         far = xp.where(going[:, None, None], product(turns, D), np.nan)
         z = product(far, image.R.swapaxes(1, 2))
         l = search.project(image.M, image.R, far, z, CHUNK)[1]
-        l = proof.unit(search.beside(image.M, image.R, far, z, l))
+        l = proof.in_largest_entry(search.towards_point(image.M, image.R, far, z, l))
         reach = proof.gauge_above(image, far, l, off)
         at = reach.argmax(1)[:, None]
         top = xp.take_along_axis(reach, at, 1)[:, 0]
@@ -81,7 +81,7 @@ def _climbed(image: proof.Image[Array], D: Array) -> tuple[Any, Any, Any, Any]:
     some = xp.broadcast_to(xp.asarray(fixed, dtype), (S, *fixed.shape))
     none = xp.zeros((S, 1, m), dtype)
     start = xp.concatenate([some, image.R.sum(1)[:, None]], 1), none, none, none[:, 0, 0], xp.ones(S, bool)
-    _, l, corner, least, _ = search.repeated(climb, start, CLIMBS, lambda state: state[-1].any())
+    _, l, corner, least, _ = search.iterated(climb, start, CLIMBS, lambda state: state[-1].any())
     return l, corner, off, least
 
 
@@ -90,7 +90,7 @@ def _encoded(image: proof.Image[Array], D: Array, wanted: Array) -> Array:
     found; only where wanted.
     """
     xp, turned, back = library(D), image.M.swapaxes(1, 2), image.R.swapaxes(1, 2)
-    sums = lambda X: proof.largest(abs(X).sum(1), 1)
+    sums = lambda X: proof.largest_size(abs(X).sum(1), 1)
 
     def more(state):
         Z, best, least, going = state
@@ -102,5 +102,5 @@ def _encoded(image: proof.Image[Array], D: Array, wanted: Array) -> Array:
         return Z, best, least, going & (least > 1 - rounding.unit(D.dtype) ** 0.5)
 
     X = product(D, back)
-    found: Array = search.repeated(more, (X, X, sums(X), wanted), CHUNKS, lambda state: state[-1].any())[1]
+    found: Array = search.iterated(more, (X, X, sums(X), wanted), CHUNKS, lambda state: state[-1].any())[1]
     return found

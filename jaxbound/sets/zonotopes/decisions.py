@@ -317,7 +317,7 @@ def separate(X: AnySet, Y: AnySet) -> Separation:
     xp, n, k, q = proof.library(c), c.shape[-1], b.shape[-1], G.shape[-1]
     settled: Callable = kernels.settled if xp is jnp else lambda *x: x
     direction: Any = meet.direction  # of NumPy or of jax
-    (l,) = settled(proof.unit(direction))
+    (l,) = settled(proof.in_largest_entry(direction))
     normal, of_first, of_second = l[..., :n], l[..., n : n + k], l[..., n + k :]
     with np.errstate(all="ignore"):
         top = _reach((normal, of_first), (c, -b), (G, A))

@@ -48,7 +48,7 @@ def support(S: AnySet, direction: Operand) -> jax.Array:
     n, d = dimension(S), interval(direction)
     if d.shape != (n,):
         raise ValueError(f"direction must have shape ({n},): its shape is {d.shape}")
-    return _support(S, d)
+    return _support_along(S, d)
 
 
 def interval_hull(S: AnySet) -> Interval:
@@ -80,7 +80,7 @@ def _interval_hull(S: AnySet) -> Interval:
 
 
 @kernel
-def _support(S: AnySet, direction: Interval) -> jax.Array:
+def _support_along(S: AnySet, direction: Interval) -> jax.Array:
     S, direction = rounding.one_dtype(S, direction)
     return _supports(S, direction[None])[0]
 

@@ -143,7 +143,7 @@ def membership(Z: Zonotope, points: ArrayLike) -> np.ndarray | jax.Array:
     if points.ndim != 2 or points.shape[1] != n:
         raise ValueError(f"points must have shape (N, {n}): their shape is {points.shape}")
     if traced((Z, points)):
-        return _traced(Z, points)
+        return _traced_margins(Z, points)
     points = np.asarray(points)
     refuse_infinite(center=Z.center, generators=Z.generators, points=points)
     with np.errstate(all="ignore"):
@@ -178,7 +178,7 @@ def _farthest(rows: Sequence[Sequence[Fraction]], d: np.ndarray) -> tuple[np.nda
     return far, gamma * (1 + size) + floor * (1 + abs(H).max(initial=0)) * (1 + high)
 
 
-def _traced(Z: Zonotope, points: ArrayLike) -> jax.Array:
+def _traced_margins(Z: Zonotope, points: ArrayLike) -> jax.Array:
     ((c, G, _, _),) = numbers(Z, points=points)
     (points,) = kernels.settled(rounding.widened(jnp.asarray(points), c.dtype))
     lower, upper, *_ = kernels.bounds(G[None], (points - c[None])[None], 0.0)

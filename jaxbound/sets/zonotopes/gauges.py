@@ -43,7 +43,7 @@ class Bounds:
         """Check candidates for the points at (sets, numbers), two arrays of their leading shape, and keep
         what is better.
         """
-        l = proof.unit(l)
+        l = proof.in_largest_entry(l)
         lower, upper = proof.gauge_above(image, d, l), proof.gauge_below(image, d, x)
         for bound, new, better, proves, what in (
             (self.lower, lower, lower > self.lower[at], self.l, l),
@@ -103,7 +103,7 @@ def _projected(
     x, l, _ = search.project(image.M, image.R, d, z, 0)
     far, l = (
         2 * x - z,
-        search.beside(image.M, image.R, d, z, l),
+        search.towards_point(image.M, image.R, d, z, l),
     )  # beyond the nearest point of the box, as far
     x = np.where((abs(x).max(2, initial=0) < abs(far).max(2, initial=0))[..., None], x, far)
     found.take((np.ogrid[: len(d), :1][0], np.ogrid[:1, : d.shape[1]][1]), image, d, l, x)

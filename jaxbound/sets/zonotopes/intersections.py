@@ -194,7 +194,7 @@ def _eliminate(S: AnySet, gain: jax.Array | None, keep: int) -> AnySet:
     gone = len(b) - keep
     rows, h = jnp.concatenate([G, A[gone:]]), jnp.concatenate([c, -b[gone:]])
     A, b = A[:gone], b[:gone]
-    K = _least_squares(rows, A) if gain is None else gain
+    K = _least_squares_gain(rows, A) if gain is None else gain
     K = jnp.where(jnp.isfinite(K), K, 0)
     h, rows, error = cancelled(h, rows, A, b, K)
     return _with_slack(h, rows, error, len(c))
@@ -206,7 +206,7 @@ def _with_slack(h: jax.Array, rows: jax.Array, error: jax.Array, n: int) -> AnyS
     return whole(h[:n], G[:n], G[n:], -h[n:])
 
 
-def _least_squares(H: jax.Array, A: jax.Array) -> jax.Array:
+def _least_squares_gain(H: jax.Array, A: jax.Array) -> jax.Array:
     """Return K with the least sum of squares of H - K A; no claim is made."""
     gram = product(A, A.T)
     room = 4 * len(gram) * rounding.unit(A.dtype) * jnp.trace(gram) + rounding.tiny(A.dtype)

@@ -77,11 +77,11 @@ def candidates(body: proof.Image[jax.Array], d: jax.Array) -> tuple[jax.Array, j
     """
     (S, m, q), N = body.M.shape, d.shape[1]
     l, x = search.exchanged(jnp.repeat(body.M, N, 0), d.reshape(S * N, m))
-    l, x = proof.unit(l.reshape(S, N, m)), x.reshape(S, N, q)
+    l, x = proof.in_largest_entry(l.reshape(S, N, m)), x.reshape(S, N, q)
     x = x + (d - x @ body.M.swapaxes(1, 2)) @ body.R.swapaxes(1, 2)
-    return _clean(l), _clean(x)
+    return _without_subnormals(l), _without_subnormals(x)
 
 
-def _clean(x: jax.Array) -> jax.Array:
+def _without_subnormals(x: jax.Array) -> jax.Array:
     """Return candidates without subnormal numbers, which some operations read as 0 and others do not."""
     return jnp.where(jnp.abs(x) < 4 * rounding.tiny(x.dtype), 0, x)

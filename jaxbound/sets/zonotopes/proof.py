@@ -47,7 +47,7 @@ def library(x: object) -> Any:
     return np if isinstance(x, np.ndarray) else jnp
 
 
-def largest(x: Array, axis: int | tuple[int, ...]) -> Array:
+def largest_size(x: Array, axis: int | tuple[int, ...]) -> Array:
     """Return the largest |x|, infinite where one is NaN, which a compiled maximum of many numbers may
     overlook; 0 of none.
     """
@@ -74,7 +74,7 @@ def product(A: Array, B: Array) -> Array:
     return cast(Array, out.swapaxes(1, 2))
 
 
-def unit(l: Array) -> Array:
+def in_largest_entry(l: Array) -> Array:
     """Return directions (..., m), each in terms of its largest entry."""
     size = abs(l).max(-1, initial=0)[..., None]
     return l / library(l).where(size > 0, size, 1)
@@ -134,8 +134,8 @@ def measured(M: Array, powers: Array, R: Array) -> Image[Array]:
         gamma, floor = rounding.product_error(q + 2, M.dtype)
         up = 1 + rounding.product_error(m, M.dtype)[0]
         off = abs(product(M, R) - xp.eye(m, dtype=M.dtype)[None]) + gamma * (product(abs(M), abs(R)) + 1)
-        off += 2 * floor * (1 + largest(R, (1, 2)))[:, None, None]
-        loss = largest(off.sum(2), 1) * up
+        off += 2 * floor * (1 + largest_size(R, (1, 2)))[:, None, None]
+        loss = largest_size(off.sum(2), 1) * up
         return Image(M, powers, R, abs(R).sum(2) * up, xp.where(loss < 0.5, loss, np.inf), abs(M).sum(2))
 
 
@@ -177,7 +177,7 @@ def gauge_above(image: Image[Array], d: Array, l: Array, off: Array | float = 0.
     with np.errstate(all="ignore"):
         ahead, width = (l * d).sum(2), abs(product(l, image.M)).sum(2)
         slack = (abs(l) * (gamma * (image.sums[:, None] + abs(d)) + off)).sum(2) * (1 + gamma)
-        slack += floor * 2 * (q + 1) * (3 + largest(d, 2))
+        slack += floor * 2 * (q + 1) * (3 + largest_size(d, 2))
         bound = xp.maximum((ahead - slack) / (width + slack) / more(d), 0)
         bound = xp.where(
             ahead - width > slack, xp.maximum(bound, 1 + 2 * rounding.unit(d.dtype)), xp.minimum(bound, 1)
@@ -198,15 +198,15 @@ def gauge_below(
     xp, (_, N, q) = library(d), x.shape
     gamma, floor = rounding.product_error(q + 4, d.dtype)
     with np.errstate(all="ignore"):
-        size = largest(x, 2)[..., None]
+        size = largest_size(x, 2)[..., None]
         error = gamma * (size * image.sums[:, None] + abs(d)) + floor * 2 * (1 + size) + off
         short = abs(d - product(x, image.M.swapaxes(1, 2))) + error
-        left = largest(short, 2) / (1 - image.loss[:, None]) * more(d)
-        sizes, far = abs(x) + image.reach[:, None] * left[..., None], largest(d, 2)
+        left = largest_size(short, 2) / (1 - image.loss[:, None]) * more(d)
+        sizes, far = abs(x) + image.reach[:, None] * left[..., None], largest_size(d, 2)
         if together:
             up = 1 + rounding.product_error(N + 4, d.dtype)[0]
             sizes, far = sizes.sum(1)[:, None] * up, far.max(1)[:, None]
-        bound = largest(sizes, 2) * more(d)
+        bound = largest_size(sizes, 2) * more(d)
         bound = xp.where(xp.isfinite(bound) & xp.isfinite(image.loss)[:, None], bound, np.inf)
         return xp.where(far == 0, 0, bound) if xp is np else bound  # inside jit, what is read as 0 may not be
 

@@ -49,12 +49,12 @@ def project(
         y = within(z)
         return z + onto(2 * y - z) - y
 
-    z = repeated(step, z, steps)
+    z = iterated(step, z, steps)
     y = within(z)
     return onto(y), product(z - y, R), z
 
 
-def beside(M: Array, R: Array, d: Array, z: Array, l: Array) -> Array:
+def towards_point(M: Array, R: Array, d: Array, z: Array, l: Array) -> Array:
     """Return directions l, but towards the point where it is beside the plane of a flat set: z is R d."""
     away = d - product(z, M.swapaxes(1, 2))
     away = away - product(product(away, M), R)  # what rounding left of the plane's own directions
@@ -73,7 +73,7 @@ def _row_balls(X: Array) -> Array:
     return xp.sign(X) * xp.maximum(size - xp.maximum(level, 0), 0)
 
 
-def repeated(
+def iterated(
     step: Callable[[T], T], state: T, most: int, going: Callable[[T], object] = lambda state: True
 ) -> T:
     """Return the state after at most so many steps, as long as it is going: on the host, or inside jit."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.fit_result import FitCheck
-from jaxbound.studies.identification.records import Records, measured
+from jaxbound.studies.identification.records import Records, measured_count
 from jaxbound.studies.identification.signal_choice import TOGETHER
 from jaxbound.text.names import listed
 from jaxbound.text.quantities import duration
@@ -29,7 +29,7 @@ def inputs_at_rest(
     Raises:
         ValueError: an output stands still, or every input.
     """
-    if measured(records) <= horizon:
+    if measured_count(records) <= horizon:
         return []  # refused for that
     u, y = (np.concatenate([r[side] for r in records]) for side in (0, 1))
     for name, x in zip(outputs, y.T, strict=True):
@@ -110,13 +110,13 @@ def no_average(name: str, samples: int) -> str:
     )
 
 
-def limits(model: LinearSystem, check: FitCheck, held_out: float) -> list[str]:
+def data_limits(model: LinearSystem, check: FitCheck, held_out: float) -> list[str]:
     """Return sentences on what the data do not carry.
 
     Args:
         held_out: the share that was to be held out.
     """
-    sentences = [_few_windows(model, check), *_left_out(model, check, held_out), _contradiction(check)]
+    sentences = [_few_windows(model, check), *_left_out(model, check, held_out), _disagreement(check)]
     return list(filter(None, sentences))
 
 
@@ -175,7 +175,7 @@ def wide(check: FitCheck, factor: float) -> str:
     )
 
 
-def _contradiction(check: FitCheck) -> str:
+def _disagreement(check: FitCheck) -> str:
     """Return the sentence on two recordings whose bounds differ too much; "" where none do."""
     shares = {i: r["used"] for i, r in enumerate(check.recordings) if r["windows"]}
     if len(shares) < 2:

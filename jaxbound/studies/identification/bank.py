@@ -168,15 +168,15 @@ def earned(tests: Sequence[JudgedTest]) -> tuple[JudgedTest, ...]:
     chosen = [best_test(tests)]
     sizes = dict(_sizes(chosen[0]))
     while True:
-        best = min(tests, key=lambda test: _share(test, sizes))
-        if not _share(best, sizes) < GAIN:
+        best = min(tests, key=lambda test: _least_share(test, sizes))
+        if not _least_share(best, sizes) < GAIN:
             return tuple(chosen)
         chosen.append(best)
         for error, size in _sizes(best):
             sizes[error] = min(sizes[error], size)
 
 
-def _share(test: JudgedTest, sizes: Mapping[tuple[str, str], float]) -> float:
+def _least_share(test: JudgedTest, sizes: Mapping[tuple[str, str], float]) -> float:
     """Return the least share of these sizes from which on the test sees an error."""
     return min(size / sizes[error] for error, size in _sizes(test))
 

@@ -8,10 +8,10 @@ import numpy as np
 from jaxbound.models.system import FOR_OBSERVER, TO_THE_END, LinearSystem
 from jaxbound.recordings.hints import recorded_step
 from jaxbound.studies.identification.judging import Judge
-from jaxbound.studies.identification.records import Records, measured
+from jaxbound.studies.identification.records import Records, measured_count
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trial import Trial
-from jaxbound.studies.tuning.widening import stated, widened
+from jaxbound.studies.tuning.widening import factors_text, stated
 
 ATTEMPTS = 20
 """Times that bounds are widened where rounding left a window undecided."""
@@ -50,13 +50,13 @@ def verified(
     if any(np.isfinite(one.factor) for one in trial.left):
         spec["left_out"] = stated(factor)
     several = "s" * (len(records) > 1)
-    source = f"fitted to {measured(records)} samples in {len(records)} recording{several}"
+    source = f"fitted to {measured_count(records)} samples in {len(records)} recording{several}"
     meant = ""
     if trial.walks is not None:
         meant = f" {TO_THE_END}"
     elif "horizon" not in spec and "lags" not in spec:
         meant = f" {FOR_OBSERVER}"
-    wide = widened(factor, safety)
+    wide = factors_text(factor, safety)
     origin = {"model": source, "noise": f"{source}{meant}, {wide}"}
     directions, walks = trial.walks or (np.zeros((0, 0)), np.zeros(0))
     wider = factor * safety

@@ -14,7 +14,7 @@ from jaxbound.studies.identification import filters, regression
 from jaxbound.studies.identification.judging import Judge, Sizes
 from jaxbound.studies.identification.realisation import realised, realised_filters, realised_static
 from jaxbound.studies.identification.recipe import AUTO, KINDS, Recipe, wanted_biases
-from jaxbound.studies.identification.records import Records, measured, parted
+from jaxbound.studies.identification.records import Records, left_out_parts, measured_count
 from jaxbound.studies.identification.structure import chained, delayed
 from jaxbound.studies.identification.training import Training
 
@@ -45,7 +45,7 @@ class FitProblem:
     @classmethod
     def of(cls, training: Training, recipe: Recipe, judge: Judge) -> "FitProblem":
         """Return the FitProblem of a recipe."""
-        parts = parted(training.records, recipe.held_out, recipe.window.horizon + 1)
+        parts = left_out_parts(training.records, recipe.held_out, recipe.window.horizon + 1)
         return cls(training, recipe, judge, parts, {})
 
     def under(self, judge: Judge, recipe: Recipe) -> "FitProblem":
@@ -139,7 +139,7 @@ def candidate(problem: FitProblem, records: Records, kind: str) -> Candidate:
     else:
         theta = regression.least_squares(steps, order, direct)
         if kind == "windows":
-            theta, spread = regression.refined(theta, windows, order, direct)
+            theta, spread = regression.refined_coefficients(theta, windows, order, direct)
         else:
             spread = regression.window_spread(theta, windows, order, direct)
         spec, spread = realised(theta, scales, order, direct, m, p), spread * scales.y_spread
@@ -167,7 +167,7 @@ def _refuse_few(records: Records, steps: int, windows: int, horizon: int, unknow
     """Raise ValueError if recordings hold too few steps or no window."""
     if steps >= 2 * unknowns and windows:
         return
-    total = f"{measured(records)}, in {len(records)} recording{'s' * (len(records) > 1)}"
+    total = f"{measured_count(records)}, in {len(records)} recording{'s' * (len(records) > 1)}"
     raise ValueError(
         f"too few samples: {total}, hold {windows} complete windows of {horizon + 1} samples, and {steps} "
         f"steps for {unknowns} coefficients an output, twice as many of which are needed: record longer, or "

@@ -21,7 +21,7 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.candidates import LEAST, Candidate, FitProblem, candidate
 from jaxbound.studies.identification.fit_result import Tradeoff
-from jaxbound.studies.identification.records import Record, Records, parted
+from jaxbound.studies.identification.records import Record, Records, left_out_parts
 from jaxbound.studies.identification.trajectories import (
     SMALLER,
     GivenUp,
@@ -269,7 +269,7 @@ def _blocks(record: Record, held_out: float, least: int) -> Records:
     """Return the recording without each of its blocks in turn."""
     u, y, starts = record
     left, first = [], 0
-    for block in parted([record], held_out, least):
+    for block in left_out_parts([record], held_out, least):
         without = y.copy()
         without[first : first + len(block[1])] = np.nan
         left.append((u, without, starts))

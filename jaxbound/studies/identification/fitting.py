@@ -14,9 +14,8 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from os import PathLike
-from typing import Unpack
 
-from jaxbound.models.arguments import table_argument
+from jaxbound.models.arguments import table_argument, taking_fields
 from jaxbound.recordings.means import with_every
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
@@ -26,8 +25,8 @@ from jaxbound.studies.identification.disturbances import refuse_unseen
 from jaxbound.studies.identification.fit_result import Fitted
 from jaxbound.studies.identification.following import hindrance
 from jaxbound.studies.identification.orders import settled
-from jaxbound.studies.identification.recipe import AUTO, Recipe, RecipeFields, recipe_of
-from jaxbound.studies.identification.records import names_of, parted
+from jaxbound.studies.identification.recipe import AUTO, Recipe, recipe_of
+from jaxbound.studies.identification.records import left_out_parts, names_of
 from jaxbound.studies.identification.search import fitted, on_recordings
 from jaxbound.studies.identification.signal_choice import (
     SignalProblem,
@@ -41,6 +40,7 @@ from jaxbound.studies.identification.window_tests import WINDOWS
 from jaxbound.text.progress import in_part, reporter
 
 
+@taking_fields(Recipe)
 @where_proofs_hold(compiled=False)
 @sparing(False)
 def fit(
@@ -55,7 +55,7 @@ def fit(
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
     progress: Callable[[float], object] | None = None,
-    **fields: Unpack[RecipeFields],
+    **fields: object,
 ) -> Fitted:
     """Find a nominal model and noise bounds from healthy recordings.
 
@@ -119,7 +119,7 @@ def fit(
     if why and plan.follow != AUTO:
         raise ValueError(f"{why}: leave follow out")
     sentences = on_recordings(training, plan)
-    can_choose = plan.is_open and parted(training.records, plan.held_out, WINDOWS[0].horizon + 1)
+    can_choose = plan.is_open and left_out_parts(training.records, plan.held_out, WINDOWS[0].horizon + 1)
     if can_choose or plan.test is not None:
         model = fitted_bank(training, plan, sentences, report)
     else:

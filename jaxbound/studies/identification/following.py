@@ -49,7 +49,7 @@ def leverage_text(records: Records, inputs: Sequence[str], chosen: Sequence[str]
 
     How unlike its training a sample of the inputs is: |root ((u - middle) / spread)|^2.
     """
-    u = _samples(records)
+    u = _measured_inputs(records)
     columns = [i for i, name in enumerate(inputs) if name in chosen]
     if len(u) < 2:
         return ""
@@ -75,7 +75,7 @@ def leverage_text(records: Records, inputs: Sequence[str], chosen: Sequence[str]
     return f"sqrt({' + '.join(squares)})"
 
 
-def _samples(records: Records) -> np.ndarray:
+def _measured_inputs(records: Records) -> np.ndarray:
     """Return the inputs (N, m) of all samples that say something."""
     kept = []
     for u, y, _ in records:
@@ -124,6 +124,6 @@ def follows_in(training: Training, spec: Mapping[str, Any], weight: float) -> Fo
     if "times" not in spec:
         return Follows()
     (text,) = set(spec["times"].values())
-    columns = dict(zip(training.inputs, _samples(training.records).T, strict=True))
+    columns = dict(zip(training.inputs, _measured_inputs(training.records).T, strict=True))
     factor = read_factor(text).values(columns)
     return Follows(weight, float(factor.mean()), float(factor.max()))

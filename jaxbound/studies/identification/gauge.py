@@ -23,6 +23,7 @@ import numpy as np
 
 from jaxbound.models.average import Average
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.window import float_matrices
 from jaxbound.sets.strips.chebyshev import fitted
 from jaxbound.studies.identification.judging import Judge, Sizes
 from jaxbound.studies.identification.one_thread import times
@@ -59,7 +60,7 @@ class Gauge(NamedTuple):
 
     def _driven(self, u: np.ndarray) -> np.ndarray:
         """Return the outputs (N, s + 1, p) of windows whose first state is 0, by inputs (N, s + 1, m)."""
-        A, B, C, D = (np.array(x, float) for x in _matrices(self.model))
+        A, B, C, D = float_matrices(self.model, "ABCD")
         u = u - np.array(self.model.offset["u"], float)
         x, out = np.zeros((len(u), len(A))), np.zeros((*u.shape[:2], self.model.p))
         for k in range(u.shape[1]):
@@ -122,23 +123,16 @@ def gauge_of(model: LinearSystem, averages: Sequence[Average] | None = None) -> 
     if averages is None:
         averages = model.averages
     over = _over_bounds(model, averages, horizon + 1, seen)
-    A, _, C, _ = _matrices(model)
-    blocks = [np.array(C, float)]
+    A, C = float_matrices(model, "AC")
+    blocks = [C]
     for _ in range(horizon):
-        blocks.append(blocks[-1] @ np.array(A, float))
+        blocks.append(blocks[-1] @ A)
     free = over @ np.concatenate(blocks)
     if not free.size:
         return Gauge(model, horizon, over, np.zeros((len(over), 0)))
     free = free / np.maximum(np.abs(free).max(0), 1e-300)  # of states that grow out of reach
     left, singular, _ = np.linalg.svd(free, full_matrices=False)
     return Gauge(model, horizon, over, left[:, singular > RANK * singular[0]])
-
-
-def _matrices(model: LinearSystem) -> list[np.ndarray]:
-    """Return A (n, n), B (n, m), C (p, n), D (p, m) in floats."""
-    shapes = (model.n, model.n), (model.n, model.m), (model.p, model.n), (model.p, model.m)
-    given = model.A, model.B, model.C, model.D
-    return [np.array(x, float).reshape(shape) for x, shape in zip(given, shapes, strict=True)]
 
 
 def _over_bounds(
@@ -203,18 +197,18 @@ class GaugeJudge(Judge):
     def sizes(self, model: LinearSystem, scales: Scales) -> tuple[Sizes, Sizes]:
         """Return (jump, steady) as `WindowJudge` does."""
         gauge = gauge_of(model)
-        jump, steady = _seen(gauge, scales, courses(gauge.horizon))
+        jump, steady = _seen_sizes(gauge, scales, courses(gauge.horizon))
         return jump, steady
 
 
 def seen_slopes(model: LinearSystem, scales: Scales) -> Sizes:
     """Return {output: slope a sample} of a ramp that fills a window, from which on it is sure to be seen."""
     gauge = gauge_of(model)
-    (slopes,) = _seen(gauge, scales, np.arange(1.0, gauge.horizon + 2)[None])
+    (slopes,) = _seen_sizes(gauge, scales, np.arange(1.0, gauge.horizon + 2)[None])
     return slopes
 
 
-def _seen(gauge: Gauge, scales: Scales, courses: np.ndarray) -> list[Sizes]:
+def _seen_sizes(gauge: Gauge, scales: Scales, courses: np.ndarray) -> list[Sizes]:
     """Return of each course (s + 1,) of an error of size 1 {output: size that is sure to be seen}."""
     model, kinds = gauge.model, len(courses)
     wrong = courses[:, None, :, None] * np.diag(scales.y_spread)[None, :, None]  # (kinds, p, s + 1, p)

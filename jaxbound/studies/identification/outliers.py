@@ -207,7 +207,7 @@ def _signals(records: Records) -> Iterator[tuple[int, int, np.ndarray]]:
             yield side, i, np.concatenate([record[side][:, i] for record in records])
 
 
-def _mark(marks: Marks, side: int, i: int, odd: np.ndarray) -> None:
+def _set_marks(marks: Marks, side: int, i: int, odd: np.ndarray) -> None:
     """Set the marks of a signal to those of its samples in all recordings."""
     first = 0
     for pair in marks:
@@ -233,7 +233,7 @@ def _candidates(records: Records, share: float) -> Marks:
         far = np.concatenate([_from_median(record[side][:, i]) for record in records])
         farthest = np.argsort(-far, kind="stable")[: int(share * present)]
         odd[farthest[far[farthest] > 0]] = True
-        _mark(marks, side, i, odd)
+        _set_marks(marks, side, i, odd)
     return marks
 
 
@@ -477,5 +477,5 @@ def _named(records: Records, off: list[tuple[np.ndarray, np.ndarray]], share: fl
             if joined.sum() > max(most * present, 1):
                 break
             odd = joined
-        _mark(marks, side, i, odd)
+        _set_marks(marks, side, i, odd)
     return marks

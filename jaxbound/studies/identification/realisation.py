@@ -22,7 +22,7 @@ def realised(theta: ArrayLike, scales: Scales, order: int, direct: bool, m: int,
     """Return A, B, C, D and the offset of a LinearSystem from standardised coefficients (see `regression`),
     rounded to short decimals.
     """
-    A, B, D, c = regression.coefficients(np.asarray(theta, np.float64), order, direct, m, p)
+    A, B, D, c = regression.arx_coefficients(np.asarray(theta, np.float64), order, direct, m, p)
     to_y = scales.y_spread[:, None] / scales.y_spread[None]
     to_u = scales.y_spread[:, None] / scales.u_spread[None]
     A, D = [_short(a * to_y, to_y) for a in A], _short(D * to_u, to_u)
@@ -64,7 +64,7 @@ def realised_filters(
 def realised_static(windows: CompleteWindows, scales: Scales) -> tuple[dict[str, Any], np.ndarray]:
     """Return (arguments of a LinearSystem without states, spread) by least squares of single samples."""
     theta = regression.least_squares(windows, 0, True)
-    _, _, D, c = regression.coefficients(theta, 0, True, windows.u.shape[2], windows.y.shape[2])
+    _, _, D, c = regression.arx_coefficients(theta, 0, True, windows.u.shape[2], windows.y.shape[2])
     left = windows.y[:, 0] - windows.u[:, 0] @ np.asarray(D).T - np.asarray(c)
     to_u = scales.y_spread[:, None] / scales.u_spread[None]
     y0 = scales.y + np.asarray(c) * scales.y_spread

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -85,26 +85,6 @@ class WindowChoice(NamedTuple):
         if self.average is not None:
             return f"means of {self.average} in {self.horizon + 1} samples"
         return f"{self.horizon + 1} samples"
-
-
-class RecipeFields(TypedDict, total=False):
-    """The fields of a Recipe as keywords of `fit`."""
-
-    order: int | str
-    delay: int | str
-    direct: bool
-    horizon: int | None
-    lags: Sequence[int] | None
-    average: int | None
-    test: str | None
-    observer: str | ObserverMethod | None
-    disturbances: str | None
-    see: Fault | Sequence[Fault]
-    follow: float | str
-    signals: str | None
-    method: str
-    safety: float
-    held_out: float
 
 
 @readable
@@ -251,7 +231,7 @@ def recipe_of(recipe: object, fields: Mapping[str, Any]) -> Recipe:
     direct = bool(recipe.direct) or recipe.order == 0
     recipe = dataclasses.replace(recipe, observer=observer, see=see, lags=lags, direct=direct)
     _refuse_together(recipe)
-    numbers = _numbers(recipe)
+    numbers = _numeric_fields(recipe)
     _refuse_faults(recipe)
     return dataclasses.replace(recipe, **numbers)
 
@@ -304,7 +284,7 @@ def _refuse_together(recipe: Recipe) -> None:
         raise ValueError(f"a static model, order 0, is fitted by {KINDS[0]}: leave method out")
 
 
-def _numbers(recipe: Recipe) -> dict[str, Any]:
+def _numeric_fields(recipe: Recipe) -> dict[str, Any]:
     """Return the fields that are numbers, as those of Python; raise ValueError for one out of range."""
     numbers: dict[str, Any] = {}
     for name, (least, end, words) in NUMBERS.items():

@@ -26,12 +26,12 @@ Records = list[Record]
 Names = tuple[str, ...]
 
 
-def measured(records: Records) -> int:
+def measured_count(records: Records) -> int:
     """Return in how many samples something was measured: those set aside by `where` are no part of a fit."""
     return sum(int((~np.isnan(y).all(1)).sum()) for _, y, _ in records)
 
 
-def parted(records: Records, held_out: float, least: int) -> Records:
+def left_out_parts(records: Records, held_out: float, least: int) -> Records:
     """Return the parts that are left out in turn: the recordings; of a single one its blocks, none where a
     block has less than the least samples.
 
@@ -143,7 +143,7 @@ def _refuse_untimed(where: str, signals: Signals, recording: Recording) -> None:
         )
 
 
-def period_of(dt: float | None, recordings: Sequence[Recording]) -> float:
+def common_period(dt: float | None, recordings: Sequence[Recording]) -> float:
     """Return the sampling period: that which is asked for, else that of the first recording that has one."""
     periods: list[tuple[float, str]] = []
     for number, recording in enumerate(recordings, 1):
@@ -188,13 +188,13 @@ def _named(
         outputs = outputs or getattr(recording, "outputs", None) or None
         parts = recording.u, recording.y
     if inputs is None:
-        inputs = _numbered("u", parts[0])
+        inputs = _numbered_names("u", parts[0])
     if outputs is None:
-        outputs = _numbered("y", parts[1])
+        outputs = _numbered_names("y", parts[1])
     return inputs, outputs
 
 
-def _numbered(letter: str, x: ArrayLike | None) -> Names:
+def _numbered_names(letter: str, x: ArrayLike | None) -> Names:
     """Return names such as u1, u2 of the columns of an array (T, m), of (T,) or of None."""
     if x is None:
         return ()

@@ -169,7 +169,7 @@ def information(records: Records, scales: Scales, order: int, direct: bool) -> n
     return np.asarray(regressors.T @ regressors / max(len(regressors), 1))
 
 
-def coefficients(
+def arx_coefficients(
     theta: np.ndarray, order: int, direct: bool, m: int, p: int
 ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, np.ndarray]:
     """Return (A_1.., B_1.., D, c): lists of (p, p) and (p, m), (p, m), (p,)."""
@@ -197,7 +197,7 @@ class Responses(NamedTuple):
 def responses(theta: np.ndarray, u: np.ndarray, p: int, order: int, direct: bool) -> Responses:
     """Return the Responses of windows u (N, s + 1, m)."""
     count = u.shape[1]
-    A, B, D, c = coefficients(theta, order, direct, u.shape[2], p)
+    A, B, D, c = arx_coefficients(theta, order, direct, u.shape[2], p)
     impulse = np.zeros((count + 1, p, p))  # the last one stays 0
     impulse[0] = np.eye(p)
     for k in range(1, count):
@@ -289,7 +289,7 @@ def _delayed(x: np.ndarray, lag: int) -> np.ndarray:
     return moved
 
 
-def refined(
+def refined_coefficients(
     theta: np.ndarray, windows: CompleteWindows, order: int, direct: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (theta, spread): coefficients that minimise the window residuals, each output weighed by its own

@@ -100,7 +100,7 @@ def fitted(
     check = dataclasses.replace(check, tradeoff=tradeoff, hidden=hidden)
     if taken is not None and not taken.complete:
         sentences.append(advice.COMPLETE_ONLY)
-    sentences = [*advice.blind(model, check), *sentences, *advice.limits(model, check, recipe.held_out)]
+    sentences = [*advice.blind(model, check), *sentences, *advice.data_limits(model, check, recipe.held_out)]
     report(1.0)
     return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences)))
 

@@ -9,10 +9,10 @@ from jaxbound.studies.identification.records import Record, Records
 
 def delayed(records: Records, delay: int) -> Records:
     """Return recordings with the inputs of delay - 1 samples before; NaN where nobody recorded them."""
-    return [_delayed(record, delay - 1) for record in records]
+    return [_with_dead_time(record, delay - 1) for record in records]
 
 
-def _delayed(record: Record, samples: int) -> Record:
+def _with_dead_time(record: Record, samples: int) -> Record:
     u, y, starts = record
     if not samples:
         return record

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxbound.recordings.recording import Recording
-from jaxbound.studies.identification.records import Names, Records, period_of, read_each
+from jaxbound.studies.identification.records import Names, Records, common_period, read_each
 from jaxbound.studies.identification.regression import Scales, scales_of
 
 
@@ -45,7 +45,7 @@ class Training:
         for one in every:
             records.append((np.asarray(one.u, np.float64), np.asarray(one.y, np.float64), one.starts))
         names = every[0].inputs, every[0].outputs
-        return cls(recordings, *names, period_of(dt, every), records, columns, units, name)
+        return cls(recordings, *names, common_period(dt, every), records, columns, units, name)
 
     def with_inputs(self, inputs: Sequence[str]) -> "Training":
         """Return the training with some of its inputs."""

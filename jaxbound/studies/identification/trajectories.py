@@ -21,6 +21,7 @@ import numpy as np
 
 from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.window import float_matrices
 from jaxbound.studies.identification.records import Record
 
 if TYPE_CHECKING:
@@ -174,7 +175,7 @@ class _Rows:
 
         u, y, starts = part
         T = len(y)
-        A, B, C, D, G = (_floats(model, letter) for letter in "ABCDG")
+        A, B, C, D, G = float_matrices(model, "ABCDG")
         u, y = u - np.array(model.offset["u"], float), y - np.array(model.offset["y"], float)
         low, high = np.array(model.disturbance, float).reshape(-1, 2).T
         lost = np.isnan(u).any(1)
@@ -213,16 +214,10 @@ def _fault(rows: _Rows, model: LinearSystem, fault: Fault) -> tuple[np.ndarray, 
         wrong[:, model.outputs.index(fault.signal)] = course
     else:
         number = model.inputs.index(fault.signal)
-        acts = -course[rows.linked, None] * _floats(model, "B")[:, number]
-        wrong = -course[:, None] * _floats(model, "D")[:, number]
+        B, D = float_matrices(model, "BD")
+        acts = -course[rows.linked, None] * B[:, number]
+        wrong = -course[:, None] * D[:, number]
     return acts.ravel(), wrong.ravel()[rows.present]
-
-
-def _floats(model: LinearSystem, letter: str) -> np.ndarray:
-    """Return a matrix of a model in floats, (rows, columns) where either may be 0."""
-    n, m, p, g = model.n, model.m, model.p, model.g
-    sizes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "G": (n, g)}
-    return np.array(getattr(model, letter), float).reshape(sizes[letter])
 
 
 def _extreme(

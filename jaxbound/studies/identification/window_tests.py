@@ -20,7 +20,7 @@ from jaxbound.studies.identification.candidates import FitProblem
 from jaxbound.studies.identification.gauge import GaugeJudge, gauge_of, seen_slopes
 from jaxbound.studies.identification.means import LOOSE, lowered
 from jaxbound.studies.identification.recipe import Recipe, WindowChoice
-from jaxbound.studies.identification.records import parted
+from jaxbound.studies.identification.records import left_out_parts
 from jaxbound.studies.identification.regression import complete_windows, completeness, reached
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trial import Trial, tried
@@ -126,10 +126,10 @@ def tried_tests(training: Training, recipe: Recipe, step: Callable[[float], obje
     problems: dict[int, FitProblem] = {}
     tests: list[TriedTest] = []
     refusal: ValueError | None = None
-    can_leave = bool(parted(records, held_out, WINDOWS[0].horizon + 1))
+    can_leave = bool(left_out_parts(records, held_out, WINDOWS[0].horizon + 1))
     for number, window in enumerate(WINDOWS):
         horizon = window.horizon
-        if horizon <= int(recipe.order) or bool(parted(records, held_out, horizon + 1)) != can_leave:
+        if horizon <= int(recipe.order) or bool(left_out_parts(records, held_out, horizon + 1)) != can_leave:
             continue  # no window, or no part to leave out
         if tests and completeness(records, horizon) < LOOKED_AT:
             continue  # bounds of the few windows that are complete would be too small for the others

@@ -87,7 +87,7 @@ def attack_block(
             now = xi[k]
             return list(now[:p]), list(now[p : 2 * p]), list(now[2 * p :]), extra[k]
 
-        return kernel.recorded(scene, begun, at)
+        return kernel.recorded_scene(scene, begun, at)
 
     def loss(xi: jax.Array, tau: jax.Array) -> tuple[jax.Array, Array]:
         t, worst = worst_factor(reading, act, onset, *recorded(xi))

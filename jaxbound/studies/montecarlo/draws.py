@@ -25,7 +25,7 @@ def words(key: tuple[Array, Array], numbers: Array, first: Array | np.uint32, co
     return out[:count]
 
 
-def share(bits: Array, dtype: np.dtype, vertices: bool = False) -> Array:
+def numbers_from_bits(bits: Array, dtype: np.dtype, vertices: bool = False) -> Array:
     """Return numbers in [-1, 1] made of random bits: the middles of 2^32 equal parts, or -1 and 1 for
     `vertices`; symmetric about 0.
     """

@@ -84,10 +84,10 @@ def unknown_draws(scene: Scene, numbers: Array, k: Array) -> Unknowns:
     bits = draws.words(
         scene.words, numbers, draws.STEPS + jnp.asarray(k, jnp.uint32) * np.uint32(-(-count // 2)), count
     )
-    each = [draws.share(b, plant.noise.dtype, course.vertices) for b in bits[: 2 * p + g]]
+    each = [draws.numbers_from_bits(b, plant.noise.dtype, course.vertices) for b in bits[: 2 * p + g]]
     extra = None
     if act.kind == "noise":
-        extra = draws.share(bits[-1], plant.noise.dtype)
+        extra = draws.numbers_from_bits(bits[-1], plant.noise.dtype)
     # the two of an output share their rounds
     return each[: 2 * p : 2], each[1 : 2 * p : 2], each[2 * p :], extra
 
@@ -110,7 +110,7 @@ def levels(scene: Scene, numbers: Array) -> jax.Array:
         return jnp.zeros((len(hold), 0, len(numbers)), limits.dtype)
     out = []
     for word, (lo, hi) in zip(bits, limits, strict=True):
-        level = draws.share(word, limits.dtype)
+        level = draws.numbers_from_bits(word, limits.dtype)
         out.append(jnp.clip(lo + 0.5 * (1 + level) * (hi - lo), lo, hi))
     return jnp.stack(out, 1)
 
@@ -230,7 +230,7 @@ def drawn(scene: Scene, numbers: Array) -> tuple[jax.Array, Array]:
     return unknowns
 
 
-def recorded(
+def recorded_scene(
     scene: Scene, begun: Begun, unknowns: Callable[[jax.Array], Unknowns]
 ) -> tuple[jax.Array, jax.Array]:
     """Return (u (T, m, N), y (T, p, N)) recorded with the unknowns of each step k."""
@@ -253,5 +253,5 @@ def recorded(
 def replay_block(scene: Scene, numbers: Array) -> tuple[Array, Array, Array]:
     """Return the recordings that `count_block` tests: u (N, T, m), y (N, T, p), onset (N,)."""
     begun = prepared(scene, numbers)
-    us, ys = recorded(scene, begun, partial(unknown_draws, scene, numbers))
+    us, ys = recorded_scene(scene, begun, partial(unknown_draws, scene, numbers))
     return jnp.moveaxis(us, 2, 0), jnp.moveaxis(ys, 2, 0), begun.onset

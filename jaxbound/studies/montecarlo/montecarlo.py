@@ -293,7 +293,7 @@ def _check_study(model: LinearSystem, relations: Relations, method: str) -> None
     """Raise ValueError for relations that `study` does not take."""
     if relations.parts and method != MONITOR:
         raise ValueError(f"method is for one test, and a monitor has tests of its own: leave out {method!r}")
-    _refuse_columns(relations)
+    _refuse_conditions(relations)
     if (relations.model.inputs, relations.model.outputs) != (model.inputs, model.outputs):
         raise ValueError("the relations speak of other signals than the model of the study")
 
@@ -315,7 +315,7 @@ def _check_numbers(n: int, samples: int, hold: int, at: str, confidence: float) 
         raise ValueError(f"confidence must be between 0 and 1, not {confidence!r}")
 
 
-def _refuse_columns(bank: Relations) -> None:
+def _refuse_conditions(bank: Relations) -> None:
     """Raise ValueError for a condition on anything else than inputs, which scenarios do not have."""
     for watch in bank.watches:
         if watch.when in (None, OTHERWISE):
@@ -390,7 +390,7 @@ def _engine(setup: _Setup) -> tuple[Engine, int]:
     if plant is not None and certain and setup.method == "joint" and 0 < circuits <= UNROLLED:
         # where circuits are many, what the fused kernel saves is nothing beside their test
         devices = tuple(jax.local_devices(backend="cpu"))
-        return _counting(setup, plant, devices), kernel.BLOCK * len(devices)
+        return _counting_kernel(setup, plant, devices), kernel.BLOCK * len(devices)
     return _writing(setup, plant), records.recording_block(setup.course)
 
 
@@ -409,7 +409,7 @@ def _attacking(setup: _Setup, plant: FloatPlant) -> Engine:
     return attacked
 
 
-def _counting(setup: _Setup, plant: FloatPlant, devices: tuple[jax.Device, ...]) -> Engine:
+def _counting_kernel(setup: _Setup, plant: FloatPlant, devices: tuple[jax.Device, ...]) -> Engine:
     """Return the function that simulates and tests in one kernel, on all devices."""
     test = setup.relations.reading(setup.dtype)
 

@@ -39,15 +39,15 @@ def count_recordings(
     """
     if not relations.parts:
         fault = _faulty(relations, u, y, method, margins)
-        return _counted(relations, act, fault, onset)
+        return _fault_counts(relations, act, fault, onset)
     columns = []
     for fault in _faulty_by_test(cast(MonitorBank, relations), u, y, margins):
-        columns.append(_counted(relations, act, fault, onset))
+        columns.append(_fault_counts(relations, act, fault, onset))
     hits, false, delay = (np.stack(each, 1) for each in zip(*columns, strict=True))
     return hits, false, delay
 
 
-def _counted(
+def _fault_counts(
     relations: Relations, act: scenarios.Act, fault: np.ndarray, onset: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (hits, false, delay), (N,) each, of windows (N, T) that are FAULT."""

@@ -19,9 +19,9 @@ of a coefficient, three of v - v0, and second-order terms. Errors of steps befor
 its state is free. Within it they add up to at most sum_{i < s} |C A^i| e on t, whose own sum adds (n + m + 8)
 u (|C| X + |D| (V + |v0|)); then (1 + sigma) of both, and at most 8 u (Y + |y0|) of the last line, Y bounding
 |y - y0|. beta is twice the sum of these, which covers the rounding of beta itself, of W and X as they are
-computed here, and the coefficients' rounding in `reach`; a few hundred times the smallest normal number
-covers underflow. What y differs from (1 + theta) t + delta + y0 of the exact model is then a noise of at most
-beta, and |delta| + beta <= rho.
+computed here, and the coefficients' rounding in `largest_reach`; a few hundred times the smallest
+normal number covers underflow. What y differs from (1 + theta) t + delta + y0 of the exact model is then a
+noise of at most beta, and |delta| + beta <= rho.
 
 The room is some 1e-14 of a unit in float64: vertices lie that far inside, and an exact boundary is met up to
 it. Where it is more than `SHARE` of the noise (no noise at all, or a state that grows out of proportion)
@@ -38,6 +38,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.window import float_matrices
 from jaxbound.random.threefry import Array
 from jaxbound.sets.floats import rounding
 
@@ -77,20 +78,13 @@ class FloatPlant:
         return self.A.shape[0], self.B.shape[1], self.C.shape[0], self.lo.shape[0]
 
 
-def matrices(model: LinearSystem) -> tuple[np.ndarray, ...]:
-    """Return A, B, C, D, G as arrays."""
-    n, m, p, g = model.n, model.m, model.p, model.g
-    shapes = (("A", (n, n)), ("B", (n, m)), ("C", (p, n)), ("D", (p, m)), ("G", (n, g)))
-    return tuple(np.array(getattr(model, letter), float).reshape(shape) for letter, shape in shapes)
-
-
-def reach(model: LinearSystem, inputs: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray]:
+def largest_reach(model: LinearSystem, inputs: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest |x| (n,) and |y - offset| (p,) that `samples` steps from x = 0 can come to.
 
     Args:
         model: a LinearSystem. inputs: (m,) the largest |v - offset| that acts. samples: how many.
     """
-    A, B, C, D, G = matrices(model)
+    A, B, C, D, G = float_matrices(model, "ABCDG")
     drive = np.hstack([B * inputs, G * _largest_disturbances(model)])
     power, states, outputs = np.eye(model.n), np.zeros(model.n), np.abs(D) @ inputs
     with np.errstate(over="ignore", invalid="ignore"):
@@ -108,9 +102,9 @@ def rounding_room(
     """Return beta (p,) of the claim above, for inputs whose |v - offset| is at most `inputs` (m,); inf where
     it is out of proportion.
     """
-    A, B, C, D, G = matrices(model)
+    A, B, C, D, G = float_matrices(model, "ABCDG")
     u, (n, m, g) = float(rounding.unit(dtype)), (model.n, model.m, model.g)
-    states, outputs = reach(model, inputs, samples)
+    states, outputs = largest_reach(model, inputs, samples)
     level = inputs + 2 * abs(_as_floats(model.offset["u"]))
     bound = _largest_disturbances(model)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -154,7 +148,7 @@ def _noise_taken(model: LinearSystem, room: np.ndarray) -> np.ndarray:
 def plant_of(model: LinearSystem, room: np.ndarray, dtype: np.dtype) -> FloatPlant:
     """Return the FloatPlant of a model that `fits`, with `room` for rounding."""
     noise = _as_floats(model.noise) * (1 - 1e-15) - _noise_taken(model, room)
-    A, B, C, D, G = exact = matrices(model)
+    A, B, C, D, G = exact = float_matrices(model, "ABCDG")
     lo = rounding.round_up([low for low, _ in model.disturbance], dtype)
     hi = rounding.round_down([high for _, high in model.disturbance], dtype)
     return FloatPlant(
@@ -169,11 +163,11 @@ def plant_of(model: LinearSystem, room: np.ndarray, dtype: np.dtype) -> FloatPla
         offset_u=_as_floats(model.offset["u"]).astype(dtype),
         lo=lo,
         hi=np.maximum(lo, hi),
-        zeros=tuple(_is_zero(x) for x in exact),
+        zeros=tuple(_zero_entries(x) for x in exact),
     )
 
 
-def _is_zero(x: np.ndarray) -> Zeros:
+def _zero_entries(x: np.ndarray) -> Zeros:
     """Return which entries of a matrix are zero, as a value that can be hashed."""
     return tuple(tuple(row) for row in (x == 0).tolist())
 

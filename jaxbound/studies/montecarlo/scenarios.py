@@ -255,7 +255,7 @@ class Ground:
         for _ in range(8):
             # a larger range may need a larger fault, which makes a larger range: a straight line, or nearly
             trial = Trial(fault, np.array([size]), (0, 1), samples)
-            _, readings = recursion.reach(model, self.largest_input(trial), samples)
+            _, readings = recursion.largest_reach(model, self.largest_input(trial), samples)
             readings = np.maximum(readings, 1e-9 * max(float(readings.max(initial=0)), 1e-9))
             if fault.signal in model.outputs:
                 readings[model.outputs.index(fault.signal)] += size
@@ -284,7 +284,7 @@ class Ground:
         base = float(np.fmin.reduce(bases))
         if fault.signal in model.outputs:
             i = model.outputs.index(fault.signal)
-            _, readings = recursion.reach(model, np.asarray(self.highest, float), self.samples)
+            _, readings = recursion.largest_reach(model, np.asarray(self.highest, float), self.samples)
             level = float(readings[i])
         else:
             i = model.inputs.index(fault.signal)

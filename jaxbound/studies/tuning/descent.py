@@ -149,7 +149,7 @@ def _of_faulty(z: jax.Array, problem: Objective, faulty: Faulty, number: int, sa
     """Return the block of faulty windows whose turn it is in a step."""
     u, y, ends, real = faulty
     block = number % len(ends)
-    taken_u, taken_y = _taken(u, y, ends[block], samples)
+    taken_u, taken_y = _windows_at(u, y, ends[block], samples)
     return Seen(log_factors(z, problem, taken_u, taken_y), real[block])
 
 
@@ -163,14 +163,14 @@ def log_factors(z: jax.Array, problem: Objective, u: jax.Array, y: jax.Array) ->
     """
     every = np.eye(len(z), dtype=z.dtype)
     if problem.test is None or isinstance(problem.test.shape, Frame):
-        log_t, slopes = _pushed(z, problem, u, y, every)
+        log_t, slopes = _slopes_along(z, problem, u, y, every)
         return log_t, (slopes,)
-    found = [_pushed(z, problem, u, y, along[None]) for along in every]
+    found = [_slopes_along(z, problem, u, y, along[None]) for along in every]
     return found[0][0], tuple(slope for _, slope in found)
 
 
 @jax.jit
-def _pushed(
+def _slopes_along(
     z: jax.Array, problem: Objective, u: jax.Array, y: jax.Array, along: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Return log t (N,) and its derivatives (k, N) along k directions."""
@@ -186,7 +186,7 @@ def _pushed(
 
 
 @partial(jax.jit, static_argnums=3)
-def _taken(u: jax.Array, y: jax.Array, ends: jax.Array, samples: int) -> tuple[jax.Array, jax.Array]:
+def _windows_at(u: jax.Array, y: jax.Array, ends: jax.Array, samples: int) -> tuple[jax.Array, jax.Array]:
     """Return the windows u (s + 1, m, N), y (s + 1, p, N) that end at some samples of u (T, m), y (T, p)."""
     at = ends[None] + jnp.arange(-samples + 1, 1)[:, None]
     return jnp.moveaxis(u[at], 1, 2), jnp.moveaxis(y[at], 1, 2)

@@ -54,7 +54,7 @@ def tuned_observer(
     return result
 
 
-def _follows(watch: SetObserver[Any], u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> bool:
+def _has_no_fault(watch: SetObserver[Any], u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> bool:
     """Return whether no sample of a recording is a FAULT, decided once: a search asks often, and what it
     finds is verified by `detect`.
     """
@@ -79,7 +79,7 @@ def observer_scale(
     """
 
     def holds(scale: float) -> bool:
-        return _follows(build(scale), u, y, starts)
+        return _has_no_fault(build(scale), u, y, starts)
 
     high = 1.0
     if holds(high):

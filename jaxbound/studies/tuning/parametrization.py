@@ -113,7 +113,7 @@ def moving(
         entries = np.asarray(own, np.float64)
         stated = None
         if weights is not None and name in weights:
-            stated = _weights(name, weights[name], entries.shape)
+            stated = _entry_weights(name, weights[name], entries.shape)
         for i, signal in enumerate(owners[KINDS[name]]):
             entry, first = np.atleast_1d(entries[i]), len(fixed)
             if name not in chosen:
@@ -213,7 +213,7 @@ def _notes(still: list[str]) -> tuple[str, ...]:
     return (f"{', '.join(still)} are 0 and stay 0",)
 
 
-def _weights(name: str, given: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+def _entry_weights(name: str, given: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """Return the weights of a bound, one an entry, or one an end of each, checked."""
     try:
         stated = np.asarray(given, np.float64)

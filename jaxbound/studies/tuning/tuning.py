@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack, cast, overload
+from typing import TYPE_CHECKING, Any, TypeAlias, cast, overload
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.files.checkpoint import Checkpoint
+from jaxbound.models.arguments import taking_fields
 from jaxbound.models.numbers import is_real, is_whole
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.identity import identity
@@ -60,19 +61,6 @@ CAPACITY, SEARCHED, NEW = 1024, 256, 32
 NEAR = 0.01  # bounds this close to the smallest are close enough between steps
 
 
-class TuneFields(TypedDict, total=False):
-    """The rare arguments of `tune`, as its keywords."""
-
-    bounds: str | Iterable[str] | None
-    weights: Mapping[str, ArrayLike] | None
-    safety: float
-    calibrate: float
-    block: int | None
-    confidence: float
-    every: int
-    state: str | os.PathLike[str] | None
-
-
 @dataclass(frozen=True)
 class _Asked:
     """The arguments of `tune` beside its recordings."""
@@ -98,7 +86,7 @@ def tune(
     steps: int = ...,
     *,
     progress: Callable[[float], object] | None = ...,
-    **fields: Unpack[TuneFields],
+    **fields: object,
 ) -> TuneResult: ...
 
 
@@ -107,12 +95,15 @@ def tune(
     relations: MonitorBank,
     healthy: object,
     faulty: object = ...,
+    optimizer: None = ...,
+    steps: int = ...,
     *,
     progress: Callable[[float], object] | None = ...,
-    **fields: Unpack[TuneFields],
+    **fields: object,
 ) -> MonitorTuneResult: ...
 
 
+@taking_fields(_Asked)
 @where_proofs_hold()
 @sparing(False)
 def tune(
@@ -123,7 +114,7 @@ def tune(
     steps: int = 300,
     *,
     progress: Callable[[float], object] | None = None,
-    **fields: Unpack[TuneFields],
+    **fields: object,
 ) -> TuneResult | MonitorTuneResult:
     """Find the smallest bounds under which healthy data are consistent; with faulty data, those that leave
     most of these outside.
@@ -176,11 +167,11 @@ def tune(
         >>> round(res.scale, 6), res.bounds["noise"], res.counts["FAULT"]
         (2.0, array([0.3001]), 0)
     """
-    unknown = set(fields) - set(TuneFields.__annotations__)
+    rare = list(_Asked.__dataclass_fields__)[2:]
+    unknown = set(fields) - set(rare)
     if unknown:
-        rare = listed(TuneFields.__annotations__)
-        raise TypeError(f"tune takes no argument {listed(sorted(unknown))}; the rare ones are {rare}")
-    plan = _Asked(optimizer, steps, **fields)
+        raise TypeError(f"tune takes no argument {listed(sorted(unknown))}; the rare ones are {listed(rare)}")
+    plan = replace(_Asked(optimizer, steps), **fields)  # type: ignore[arg-type]  # `_check` reads them
     safety, confidence, state = plan.safety, plan.confidence, plan.state
     _check_relations(relations)
     _check(plan)

@@ -20,7 +20,7 @@ from jaxbound.studies.tuning.scaling import JoinedRecordings
 from jaxbound.studies.tuning.tune_result import History, TuneResult, history_columns
 
 
-def widened(factor: float, safety: float) -> str:
+def factors_text(factor: float, safety: float) -> str:
     """Return the factors on the smallest bounds as their provenance has them."""
     return f"factor {factor:.3g} of what was left out, safety factor {safety:g}"
 
@@ -68,7 +68,7 @@ def concluded(
     factor, is_known, notes = _factor(relations, found.left_out)
     left_out, wide = None, f"safety factor {safety:g}"
     if is_known:
-        left_out, wide = stated(factor), widened(factor, safety)
+        left_out, wide = stated(factor), factors_text(factor, safety)
     seen = f"{int((~good.without(relations.horizon)).sum())} healthy windows"
     if relations.remembers:
         seen = f"{len(good.y)} healthy samples {FOR_OBSERVER}"
@@ -147,10 +147,10 @@ def _under(relations: Tunable, moved: Moving, model: LinearSystem, short: Sequen
     """Return relations, or an observer, under the bounds of a model, of which those that moved are these."""
     if relations.remembers:
         return relations.of(model)
-    return relations.with_bounds({**model_bounds(model), **_parameters(moved, short)})
+    return relations.with_bounds({**model_bounds(model), **_parameter_bounds(moved, short)})
 
 
-def _parameters(moved: Moving, values: Sequence[Decimal]) -> dict[str, np.ndarray]:
+def _parameter_bounds(moved: Moving, values: Sequence[Decimal]) -> dict[str, np.ndarray]:
     """Return the bounds of parameters, in the half-widths of the model that the relations were made for."""
     if "parameters" not in moved.rows:
         return {}

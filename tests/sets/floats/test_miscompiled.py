@@ -59,7 +59,7 @@ def test_a_sum_of_terms_with_an_unknown_one_is_unknown_however_many_are_added(sh
     """
     lo, hi = np.ones(shape), np.full(shape, 2.0)
     lo[1, 1] = hi[2, 2] = np.nan
-    summed = jax.jit(lambda x: lifted.summed(x, (1,)))
+    summed = jax.jit(lambda x: lifted.summed_along(x, (1,)))
     up, down = (
         summed(Interval(jnp.asarray(lo), jnp.asarray(hi))),
         summed(Interval(jnp.asarray(-hi), jnp.asarray(-lo))),

@@ -1,7 +1,7 @@
 """Sentences on what the data of a fit do not carry."""
 
 import jaxbound as jb
-from jaxbound.studies.identification.advice import blind, limits
+from jaxbound.studies.identification.advice import blind, data_limits
 from jaxbound.studies.identification.fit_result import FitCheck, PartLeftOut
 
 
@@ -13,7 +13,7 @@ def said(**sizes):
     about |= dict(left_out=parts, recordings=recordings, moved={"T": 10.0})
     check = FitCheck(held_out=None, used=(), held_out_used=(), **about, **sizes)
     model = jb.LinearSystem([["0.5"]], None, [[1]], noise=1, outputs=["T"])
-    return [*limits(model, check, 0.3), *blind(model, check)]
+    return [*data_limits(model, check, 0.3), *blind(model, check)]
 
 
 def test_a_sharp_observer_is_blind_only_where_no_test_could_see_a_jump():

@@ -130,7 +130,7 @@ class TestRegression:
         scales = regression.scales_of([(u, y, ())])
         windows = regression.windows_of([(u, y, ())], scales, 8)
         theta = regression.least_squares(regression.windows_of([(u, y, ())], scales, 2), 2, False)
-        finer, spread = regression.refined(theta, windows, 2, False)
+        finer, spread = regression.refined_coefficients(theta, windows, 2, False)
         assert spread[0] <= regression.window_spread(theta, windows, 2, False)[0]
         assert regression.growth(finer, 2) <= max(1, regression.growth(theta, 2))
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxbound.studies.montecarlo.draws import share, words
+from jaxbound.studies.montecarlo.draws import numbers_from_bits, words
 
 
 def test_draws_are_uniform_and_do_not_know_of_each_other(rng):
@@ -12,7 +12,7 @@ def test_draws_are_uniform_and_do_not_know_of_each_other(rng):
     N, key = 2**14, rng.integers(0, 2**32, 2, np.uint32)
     drawn = np.array(
         [
-            share(b, np.float64)
+            numbers_from_bits(b, np.float64)
             for k in range(3)
             for b in words(tuple(key), np.arange(N, dtype=np.uint32), 2 * k, 4)
         ]
@@ -28,5 +28,5 @@ def test_draws_are_uniform_and_do_not_know_of_each_other(rng):
 
 def test_vertices_are_the_two_ends_equally_often(rng):
     (bits,) = words(tuple(rng.integers(0, 2**32, 2, np.uint32)), np.arange(2**14, dtype=np.uint32), 5, 1)
-    ends = np.asarray(share(bits, np.float64, vertices=True))
+    ends = np.asarray(numbers_from_bits(bits, np.float64, vertices=True))
     assert set(ends) == {-1.0, 1.0} and abs(ends.mean()) < 6 / 2**7

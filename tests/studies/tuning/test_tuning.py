@@ -1,5 +1,6 @@
 """Tuned bounds against linear programs and exact rationals, and what must hold whatever the gradient does."""
 
+import inspect
 from fractions import Fraction
 
 import jax
@@ -231,9 +232,9 @@ def test_any_optimiser_and_no_second_compilation(rng):
     own = optax.chain(optax.clip_by_global_norm(1.0), optax.sgd(0.3))
     res = jb.tune(r, good, optimizer=own, steps=30, calibrate=0)
     assert res.scale < 0.95 * start
-    traced = sum(f._cache_size() for f in (descent._pushed, descent._advance))
+    traced = sum(f._cache_size() for f in (descent._slopes_along, descent._advance))
     jb.tune(r, [good[0]], optimizer=own, steps=20, calibrate=0)
-    assert sum(f._cache_size() for f in (descent._pushed, descent._advance)) == traced
+    assert sum(f._cache_size() for f in (descent._slopes_along, descent._advance)) == traced
 
 
 def test_model_file_holds_the_bounds_rounded_up_and_says_where_they_come_from(rng, tmp_path):
@@ -356,5 +357,6 @@ def test_bounds_that_cannot_explain_are_refused(rng):
         TypeError, match="tune takes no argument 'stepz'; the rare ones are 'bounds', 'weights'"
     ):
         jb.tune(relations(TOLERANT, 1), good, stepz=3)
+    assert inspect.signature(jb.tune).parameters["safety"].default == 1.25
     with pytest.raises(TypeError, match="from parity_relations"):
         jb.tune(jb.redundancy(jb.LinearSystem(**TOLERANT)), good)
