@@ -188,9 +188,7 @@ def _smooth_margins(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
 
     def margins(u: jax.Array, y: jax.Array) -> jax.Array:
         rows = reading.block(u, y)
-        still = jax.lax.stop_gradient((reading.frame, rows.mid, rows.rad, rows.known))
-        best = separation.separation_best(*still)
-        return separation.margin_of(jax.lax.stop_gradient(best), rows.mid, rows.rad, rows.known)
+        return separation.separation_margin(reading.frame, rows.mid, rows.rad, rows.known)
 
     starts = jnp.arange(len(y) - reading.horizon)
     return over_blocks(margins, reading, u, y, starts, _block_of(reading.frame))
@@ -202,7 +200,8 @@ def candidates(reading: Reading, one: jax.Array, u: jax.Array, y: jax.Array) -> 
     nothing is proved yet.
     """
     image, steps = imaged(reading, one, u, y), 2 * reading.frame.R.shape[1] + 6
-    return *separation.separation_search(reading.frame, image, one, steps), *image
+    found = separation.exchange_search(reading.frame.R, image.z, image.radius, image.present, one, steps)
+    return *found, *image
 
 
 def imaged(reading: Reading, one: jax.Array, u: jax.Array, y: jax.Array) -> separation.Image:

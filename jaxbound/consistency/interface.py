@@ -930,8 +930,8 @@ class Open(WindowTest):
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return UNDECIDED for all windows."""
-        return [self._undecided(y.shape[-1]) for _, y in blocks]
-
-    def _undecided(self, count: int) -> Arrays:
-        status = np.full(count, Status.UNDECIDED, np.int8)
-        return status, np.full(count, self.margin, self.dtype)
+        judged = []
+        for _, y in blocks:
+            status = np.full(y.shape[-1], Status.UNDECIDED, np.int8)
+            judged.append((status, np.full(len(status), self.margin, self.dtype)))
+        return judged

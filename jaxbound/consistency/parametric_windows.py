@@ -140,9 +140,8 @@ def alone(reading: PolynomialReading, terms: Polynomials, proved: bool) -> tuple
             )
             inside = inside & holds
         else:
-            margin = varying.strip_margins(
-                *polynomials.image(value[row], spread[row], rad, reading.exponents), error[row]
-            )
+            c, G = polynomials.image(value[row], spread[row], rad, reading.exponents)
+            margin = varying.refutes(c, G, error[row], jnp.ones_like(c))
             inside = inside & False
         worst = jnp.minimum(worst, margin)
     decided = jnp.where(worst < 0, Status.FAULT, jnp.where(inside, Status.CONSISTENT, Status.UNDECIDED))
@@ -305,19 +304,11 @@ def bisected(
         leaves.append(Leaves(owner, lo, hi, h).chosen(margin < 0))
         return Verdicts(~(margin < 0) & ~found, found, (start, start), None, axis)
 
-    if budget == 1:  # of one level nothing is cut
-        lo, hi = (np.repeat(x[:, None], count, 1) for x in (-one, one))
-        now = judge(lo, hi, np.arange(count, dtype=np.int32))
-        status = np.where(now.keep, np.int8(Status.UNDECIDED), np.int8(Status.FAULT))
-        status[now.proved] = Status.CONSISTENT
-        margin, points = levels[0]
-    else:
-        *_, cover = explore(judge, -one, one, count, 200, budget, first=True)
-        margin, points = levels[0]
-        points[:, cover.proofs.owner] = cover.proofs.lo
-        status = cover.status
+    *_, cover = explore(judge, -one, one, count, 200, budget, first=True)
+    margin, points = levels[0]
+    points[:, cover.proofs.owner] = cover.proofs.lo
     every = Leaves(*(np.concatenate(x, -1) for x in zip(*leaves, strict=True)))
-    status = np.where(np.isnan(margin), np.int8(Status.MISSING), status)
+    status = np.where(np.isnan(margin), np.int8(Status.MISSING), cover.status)
     return status, margin, every, points
 
 

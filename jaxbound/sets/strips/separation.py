@@ -175,19 +175,6 @@ def separation_image(
     return Image(z, jnp.where(present, rad, 1) / one[None], magnitude, present, floor, complete)
 
 
-def separation_search(
-    frame: Frame, image: Image, one: jax.Array, steps: int
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (h (c, N), d (k, N), done (N,)): candidates for the two proofs of `separation_verdict`, nearly
-    optimal where done.
-
-    Args:
-        frame: from `frame_of`. image: from `separation_image`. one: N ones, traced. steps: at most so many
-            exchanges.
-    """
-    return exchange_search(frame.R, image.z, image.radius, image.present, one, steps)
-
-
 def separation_verdict(
     frame: Frame, image: Image, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
@@ -199,7 +186,7 @@ def separation_verdict(
 
     Args:
         frame: from `frame_of`. image: from `separation_image`. one: N ones, traced. h, d, done: from
-            `separation_search`; any finite h and d will do. All of them must be arrays, not expressions of
+            `exchange_search`; any finite h and d will do. All of them must be arrays, not expressions of
             the same function.
     """
     z, radius, magnitude, present, floor, complete = image
@@ -277,9 +264,9 @@ def exchange_search(
     """Return (h (c, N), d (k, N), done (N,)) with max|h| = 1: nearly optimal in (dual) and (primal) where
     done.
 
-    radius, present: (c + k, N), as of an `Image`. `/ one` in here is nothing but a sign to the compiler: it
-    does not work out a quotient again for each of its uses. Where inner rows are the more, a tableau of the
-    others takes the place of the inverse: `tableau`.
+    z, radius, present: as of an `Image`. one: N ones, traced; `/ one` in here is nothing but a sign to the
+    compiler: it does not work out a quotient again for each of its uses. steps: at most so many exchanges.
+    Where inner rows are the more, a tableau of the others takes the place of the inverse: `tableau`.
     """
     c, k = R.shape
     if k > c:
