@@ -25,7 +25,6 @@ from jaxbound.consistency.interface import (
     Easy,
     Judged,
     Observer,
-    Progress,
     Run,
     Verdicts,
     WindowTest,
@@ -52,7 +51,7 @@ from jaxbound.sets.floats.probe import (
 )
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
-from jaxbound.text.progress import in_part, reporter
+from jaxbound.text.progress import Progress, in_part, reporter
 
 CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once

@@ -17,16 +17,7 @@ from jax.typing import DTypeLike
 
 from jaxbound.consistency.check import contradicted_by
 from jaxbound.consistency.holes import HolesTest, exact_margins
-from jaxbound.consistency.interface import (
-    Arrays,
-    Cases,
-    Easy,
-    LinearRelations,
-    Outs,
-    Progress,
-    Run,
-    SignedTest,
-)
+from jaxbound.consistency.interface import Arrays, Cases, Easy, LinearRelations, Outs, Run, SignedTest
 from jaxbound.consistency.projection import easy_by
 from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.unproved import over_blocks, unproved_margins
@@ -35,6 +26,7 @@ from jaxbound.exact.frames import ExactFrame
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import is_outside_xla, kernel
 from jaxbound.sets.strips import separation
+from jaxbound.text.progress import Progress
 
 LARGE = 2048
 """Numbers of a window that an exchange changes, above which fewer stand side by side."""

@@ -47,45 +47,6 @@ from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress
 
-__all__ = [
-    "BOUNDS",
-    "EXACT",
-    "FAMILIES",
-    "MARGINS",
-    "METHODS",
-    "MONITOR",
-    "OBSERVER",
-    "Arrays",
-    "Block",
-    "Budget",
-    "GONE",
-    "Cases",
-    "Easy",
-    "Judged",
-    "LinearRelations",
-    "LinearTest",
-    "Observer",
-    "Open",
-    "Outputs",
-    "Outs",
-    "Progress",
-    "Reach",
-    "Relations",
-    "Run",
-    "SignedTest",
-    "Starts",
-    "Verdicts",
-    "Watch",
-    "WindowReading",
-    "WindowTest",
-    "family",
-    "refuse_options",
-    "relations_of",
-    "margins_for",
-    "window_count",
-    "with_margins",
-]
-
 METHODS = ("joint", "box")
 GONE = {
     "paving": '"joint" decides the same windows exactly; with uncertain parameters, budget= boxes a window',
