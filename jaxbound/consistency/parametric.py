@@ -30,9 +30,10 @@ from jaxbound.consistency.parametric_windows import (
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.consistency.twice import warn_doubtful
-from jaxbound.consistency.unproved import is_traced, within
+from jaxbound.consistency.unproved import within
 from jaxbound.recordings.arrays import refuse_infinite
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.progress import Progress

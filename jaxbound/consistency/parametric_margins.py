@@ -17,7 +17,8 @@ import numpy as np
 from jaxbound.consistency.interface import Array
 from jaxbound.consistency.parametric_windows import SEARCHED, by_vertices, cases, terms_of
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
-from jaxbound.consistency.unproved import is_traced, over_blocks
+from jaxbound.consistency.unproved import over_blocks
+from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.strips import polynomials, varying
 
 

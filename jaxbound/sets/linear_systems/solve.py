@@ -177,8 +177,10 @@ _last = apart(lambda x: jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), x))
 
 
 def _prepared(M: Interval, precondition: str) -> tuple[jax.Array | None, Factored]:
-    C = preconditioner(M, precondition)
-    return C, factor(M if C is None else times(C, M))
+    if precondition != "midpoint":
+        return None, factor(M)
+    C = preconditioner(M)
+    return C, factor(times(C, M))
 
 
 def _enclosed(

@@ -16,9 +16,10 @@ from jaxbound.exact import linalg
 from jaxbound.exact.circuits import circuits
 from jaxbound.exact.price import refuse_or_say
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.zonotopes import gauges, kernels
-from jaxbound.sets.zonotopes.questions import numbers, traced
+from jaxbound.sets.zonotopes.questions import numbers
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
 FEW = 500
@@ -142,7 +143,7 @@ def membership(Z: Zonotope, points: ArrayLike) -> np.ndarray | jax.Array:
     n = Z.center.shape[0]
     if points.ndim != 2 or points.shape[1] != n:
         raise ValueError(f"points must have shape (N, {n}): their shape is {points.shape}")
-    if traced((Z, points)):
+    if is_traced(Z, points):
         return _traced(Z, points)
     points = np.asarray(points)
     refuse_infinite(center=Z.center, generators=Z.generators, points=points)
