@@ -32,7 +32,7 @@ from jaxbound.consistency.interface import (
 )
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.consistency.searched import only_searched
-from jaxbound.consistency.twice import decided_twice, warn_of
+from jaxbound.consistency.twice import warn_of
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import crossing
 from jaxbound.sets.floats.kernel import (
@@ -178,15 +178,22 @@ def _decided(
     report: Progress,
     size: int,
 ) -> Judged:
-    """Return the verdicts (*shape) of samples that are laid end to end, each FAULT decided twice."""
+    """Return the verdicts (*shape) of samples that are laid end to end, each FAULT decided twice: UNDECIDED
+    where a second look does not confirm it.
+    """
     judged = test.judged(_filled(test, u, y, shape, starts, report, size))
-    if test.confirms or is_outside_xla():
+    status = judged.status.reshape(-1)
+    # of nearly all recordings the maximum alone is asked for
+    if test.confirms or is_outside_xla() or status.max(initial=0) < Status.FAULT:
         return judged
-
-    def contradicted(ends: np.ndarray) -> np.ndarray:
-        return _contradicted(test, u, y, ends - test.horizon, size)
-
-    return decided_twice(test, judged, u, y, contradicted)
+    faulty = np.flatnonzero(status == Status.FAULT)
+    proved = _contradicted(test, u, y, faulty - test.horizon, size)
+    if proved.all():
+        return judged
+    judged, doubtful = test.withdrawn(judged, faulty, proved, u, y)
+    if doubtful.any():
+        warn_of(faulty[doubtful], len(faulty))
+    return judged
 
 
 def raw_outputs(test: WindowTest, u: Array, y: Array, starts: np.ndarray) -> list[np.ndarray]:
