@@ -134,28 +134,23 @@ class ExchangeTest(SignedTest):
         search does: as where all windows are searched there.
         """
         (margin,) = outs
-        self._whole_numbers(u, y, margin)
-        if is_outside_xla():
+        starts = np.flatnonzero(margin == 0) - self.horizon
+        if not len(starts):
             return
-        open_ = np.flatnonzero(margin == 0) - self.horizon
-        open_ = open_[~self._lacking(u, y, open_)]
-        for first in range(0, len(open_), TOGETHER):
-            starts = open_[first : first + TOGETHER]
-            windows = gather(u, y, starts, self.lags, self.horizon)
-            margin[starts + self.horizon] = self._holes.searched(*windows)
+        lacking = self._lacking(u, y, starts)
+        some = starts[lacking | thin(self.reading, *self._gather(u, y, starts))]
+        margin[some + self.horizon] = self.exactly(u, y, some)
+        if is_outside_xla():  # all windows were searched in NumPy
+            return
+        left = starts[~lacking & (margin[starts + self.horizon] == 0)]
+        for first in range(0, len(left), TOGETHER):
+            part = left[first : first + TOGETHER]
+            windows = gather(u, y, part, self.lags, self.horizon)
+            margin[part + self.horizon] = self._holes.searched(*windows)
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
         return unproved_margins(self, _smooth_margins, given)
-
-    def _whole_numbers(self, u: np.ndarray, y: np.ndarray, margin: np.ndarray) -> None:
-        """Decide thin windows, and those whose holes floats leave open, in whole numbers, in place."""
-        starts = np.flatnonzero(margin == 0) - self.horizon
-        if not len(starts):
-            return
-        windows = self._gather(u, y, starts)
-        starts = starts[thin(self.reading, *windows) | self._lacking(u, y, starts)]
-        margin[starts + self.horizon] = self.exactly(u, y, starts)
 
     def exactly(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (N,) margins in whole numbers, 0 where these do not tell either."""

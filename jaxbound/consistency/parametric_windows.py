@@ -110,12 +110,6 @@ def by_vertices(relations: PolynomialRelations) -> bool:
     return few and polynomials.multiaffine(relations.exponents)
 
 
-def _noise_part(reading: PolynomialReading, z: jax.Array) -> jax.Array:
-    """Return the noises among the columns of an image."""
-    lumps = len(reading.N) if reading.noisy and len(reading.exponents) > 1 else 0
-    return z[len(z) - lumps - len(reading.noisy) : len(z) - lumps]
-
-
 @kernel
 def terms_of(reading: PolynomialReading, u: jax.Array, y: jax.Array) -> Polynomials:
     """Return the polynomials of windows, and one bound on the error of each row."""
@@ -168,7 +162,9 @@ def candidates(
     value, rad, error = value[..., owner], rad[..., owner], error[..., owner]
     c, G = polynomials.image(value, spread, rad, reading.exponents, mid, radius)
     h, z = varying.farthest(c, G, error)
-    start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(reading, z)])
+    lumps = len(reading.N) if reading.noisy and len(reading.exponents) > 1 else 0
+    noises = z[len(z) - lumps - len(reading.noisy) : len(z) - lumps]
+    start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), noises])
     axis = jnp.argmax(polynomials.bends(value, reading.exponents, radius), 0)
     return Polynomials(value, error, spread, rad), (c, G), Hints(h, start, axis)
 

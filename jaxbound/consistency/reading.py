@@ -175,15 +175,15 @@ class Reading:
         if self.times:
             each = [self.noise_at(u, i) * jnp.ones_like(y[:, i]) for i in range(y.shape[1])]
             noise = jnp.stack(each, 1)
-        (mid,), (rad,), (scale,) = sensor.true_value(
-            [y],
+        own = sensor.true_value(
+            y,
             self.tolerance[None, :, None],
             noise,
             self.resolution[None, :, None],
             self.offset_y[None, :, None],
             largest,
         )
-        parts = [tuple(x.reshape(-1, count) for x in (mid, rad, scale))]
+        parts = [tuple(x.reshape(-1, count) for x in own)]
         if self.horizon and len(self.disturbance):
             parts += [self._disturbance(y[0, 0])] * self.horizon
         parts += [self._summed(number, whole, largest[0]) for number in range(len(self.window.sums))]

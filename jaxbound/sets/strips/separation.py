@@ -40,6 +40,8 @@ from jaxbound.sets.strips.exchange_step import WRITTEN_OUT, closeness, long_step
 from jaxbound.sets.strips.tableau import tableau_search
 
 Numbers: TypeAlias = jax.Array | np.ndarray
+PATIENCE = 1000
+"""Exchanges after which a search for a margin ends, found or not."""
 
 
 @jax.tree_util.register_dataclass
@@ -65,26 +67,23 @@ def frame_of(exact_frame: ExactFrame, dtype: DTypeLike) -> Frame:
     )
 
 
-def separation_margin(
-    frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, steps: int = 1000
-) -> jax.Array:
+def separation_margin(frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array) -> jax.Array:
     """Return 1 - t, unrounded and differentiable in mid, rad and known; NaN where no relation has its data,
     or an inner row has none.
 
     Args:
-        frame: from `frame_of`. mid, rad: (rows, N), NaN in mid where absent. known: (l, N). steps: at most so
-            many exchanges.
+        frame: from `frame_of`. mid, rad: (rows, N), NaN in mid where absent. known: (l, N).
     """
-    # the best h stays the best for a small change: envelope theorem
-    best = separation_best(*jax.lax.stop_gradient((frame, mid, rad, known)), steps)
-    return margin_of(best, mid, rad, known)
+    # the best combination stays the best for a small change: envelope theorem
+    best = _best(*jax.lax.stop_gradient((frame, mid, rad, known)))
+    used = lambda weight, x: jnp.sum(weight * jnp.where(weight == 0, 0, x), 0)
+    residual, width = used(best, jnp.concatenate([mid, known])), used(jnp.abs(best[: len(rad)]), rad)
+    return jnp.where(width > 0, 1 - _factor(residual, width), jnp.nan)
 
 
-def separation_best(
-    frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, steps: int = 1000
-) -> jax.Array:
-    """Return the combinations of rows and known values (rows + l, N) of which `margin_of` is that margin, 0
-    where it is NaN.
+def _best(frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array) -> jax.Array:
+    """Return the combinations of rows and known values (rows + l, N) that speak most against windows, 0 where
+    there is none.
     """
     c, k = frame.R.shape
     (own, radius), present, complete = _ordered(
@@ -92,21 +91,12 @@ def separation_best(
     )
     z = own[:c] - _times(_matrix(frame), jnp.concatenate([own[c:], jnp.where(jnp.isnan(known), 0, known)]))
     z, radius = jnp.where(present[:c], z, 0), jnp.where(present, radius, 1)
-    h, _, _ = exchange_search(frame.R, z, radius, present, jnp.ones_like(mid[0]), steps)
+    h, _, _ = exchange_search(frame.R, z, radius, present, jnp.ones_like(mid[0]), PATIENCE)
     through = -_times(jnp.swapaxes(_matrix(frame), 0, 1), h)
     order = jnp.concatenate([frame.outer, frame.inner])
     there = (order[None] == jnp.arange(len(mid), dtype=order.dtype)[:, None]).astype(h.dtype)
     best = jnp.concatenate([_times(there, jnp.concatenate([h, through[:k]])), through[k:]])
     return jnp.where(complete & present[:c].any(0), best, 0)
-
-
-def margin_of(best: jax.Array, mid: jax.Array, rad: jax.Array, known: jax.Array) -> jax.Array:
-    """Return 1 - |residual| / width (N,) of combinations from `separation_best`; arguments as for
-    `separation_margin`.
-    """
-    used = lambda weight, x: jnp.sum(weight * jnp.where(weight == 0, 0, x), 0)
-    residual, width = used(best, jnp.concatenate([mid, known])), used(jnp.abs(best[: len(rad)]), rad)
-    return jnp.where(width > 0, 1 - _factor(residual, width), jnp.nan)
 
 
 def _times(A: Numbers, x: jax.Array) -> jax.Array:
