@@ -141,7 +141,7 @@ def sent(relations, u, y):
 def proving(relations, u, y):
     """Return {share of faulty windows: share of the wall time that proving on the host takes}."""
     spent, found = [], {}
-    names = ("decided_twice", "only_searched")
+    names = ("_contradicted", "only_searched")
     whole = {name: getattr(drive, name) for name in names}
 
     def timed(name):

@@ -18,7 +18,7 @@ import numpy as np
 import jaxbound as jb
 from benchmarks import opponents, timing
 from jaxbound.consistency import exchange
-from jaxbound.sets.strips.separation import separation_search
+from jaxbound.sets.strips.separation import exchange_search
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "diagnosis"))
@@ -48,7 +48,8 @@ CASES = {
 @jax.jit
 def done_after(test, one, u, y, steps):
     """Return which windows a search of so many steps is done with."""
-    return separation_search(test.frame, exchange.imaged(test, one, u, y), one, steps)[2]
+    image = exchange.imaged(test, one, u, y)
+    return exchange_search(test.frame.R, image.z, image.radius, image.present, one, steps)[2]
 
 
 def exchanges(relations, u, y):

@@ -55,7 +55,10 @@ CASES = {  # name: (relations, method, windows)
 def once():
     """Return patches that leave the second decision out."""
     return (
-        patch("jaxbound.consistency.drive.decided_twice", lambda test, judged, *_: judged),
+        patch(
+            "jaxbound.consistency.drive._contradicted",
+            lambda test, u, y, starts, size: np.ones(len(starts), bool),
+        ),
         patch(
             "jaxbound.consistency.drive._Gathering._proved",
             lambda self, part, block, judged: judged[: len(self.filling.outs) + 1],

@@ -82,13 +82,13 @@ class Program:
         return out
 
 
-searched, refutes, strip_margins = map(jax.jit, (varying.farthest, varying.refutes, varying.strip_margins))
+searched, refutes, strip = map(jax.jit, (varying.farthest, varying.refutes, varying.strip))
 
 
 def ours(blocks):
     """Return the proved margins of blocks (c (r, N), G (r, q, N), error (r, N)): < 0 is a proof."""
     if varying.few_strips(*blocks[0][1].shape[:2]):
-        return [strip_margins(*block) for block in blocks]
+        return [refutes(*block, strip(*block)) for block in blocks]
     return [refutes(*block, searched(*block)[0]) for block in blocks]
 
 

@@ -106,7 +106,7 @@ class BankTest(LinearTest):
                 continue
             windows = gather(u, y, at[open_] - s, self.lags, s)
             strip = r.W[number : number + 1], r.K[number : number + 1]
-            open_ = open_[~(exact_strip_margins(r, self._exact_reading, strip, *windows) < 0)]
+            open_ = open_[~(exact_strip_margins(r, r.reading(self.dtype, "box"), strip, *windows) < 0)]
             flat[word, at[open_]] ^= np.uint32(Status.FAULT ^ Status.UNDECIDED) << shift
             doubtful[open_] = True
         status = status_of_words(words, r.count)
@@ -122,10 +122,6 @@ class BankTest(LinearTest):
         consistent = words & ~HIGH & ~(words >> np.uint32(1))  # the low bit of a verdict alone
         words ^= consistent | consistent << np.uint32(1)
         return super().unproved(judged._replace(words=words))
-
-    @cached_property
-    def _exact_reading(self) -> Reading:
-        return self.relations.reading(self.dtype, "box")
 
     @cached_property
     def _host(self) -> HostStrips:

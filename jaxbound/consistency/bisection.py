@@ -5,6 +5,9 @@ for all samples within what a recording rounds away, like everywhere in this lib
 last digits put outside is UNDECIDED.
 """
 
+# mypy: allow-empty-bodies
+# of members that are declared for whoever checks types, and have their values elsewhere
+
 import contextlib
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
@@ -47,12 +50,10 @@ class ResidualRelations(Relations):
         @property
         def f(self) -> Function:
             """The residual."""
-            raise NotImplementedError
 
         @property
         def box(self) -> Interval:
             """(n,): the unknowns."""
-            raise NotImplementedError
 
     def shape(self, m: int, p: int) -> int:
         """Return the number of residuals for windows of m inputs and p outputs."""
@@ -177,8 +178,10 @@ def thick(U: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return (lo, hi) of all inputs that round to ours, then of all samples that round to the recorded
     ones.
     """
-    slip = 2 * input_slip(U)  # 2: for this computation
-    return U - slip, U + slip, *_recorded(Y, RECORDER_ULPS + 2)
+    slip = 2 * input_slip(U)  # 2, here and below: for this computation
+    ulps = RECORDER_ULPS + 2  # unit roundoffs of the largest sample in the window
+    spread = ulps * rounding.unit(Y.dtype) * np.abs(Y).max(1, keepdims=True) + 2 * rounding.tiny(Y.dtype)
+    return U - slip, U + slip, Y - spread, Y + spread
 
 
 def _paved(
@@ -218,11 +221,3 @@ class flat:
         """Return the results of f end to end."""
         parts = [jnp.ravel(x) for x in jax.tree.leaves(self.f(z, u, y))]
         return jnp.concatenate(parts) if parts else jnp.zeros(0, z.dtype)
-
-
-def _recorded(y: np.ndarray, ulps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return (lo, hi) of the values recorded as y (N, s + 1, p): samples are known to so many unit roundoffs
-    of the largest in the window.
-    """
-    spread = ulps * rounding.unit(y.dtype) * np.abs(y).max(1, keepdims=True) + 2 * rounding.tiny(y.dtype)
-    return y - spread, y + spread

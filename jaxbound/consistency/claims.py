@@ -46,7 +46,8 @@ def unclaimed(judged: Claims, departure: Departure) -> Claims:
     changed: dict[str, Any] = {"status": _undecided_where(judged.status, out)}
     words = judged.words
     if words is not None:
-        changed["words"] = np.where(out, _without_fault(words), words)
+        fault = words & (words << np.uint32(1)) & HIGH  # of both bits the low one goes
+        changed["words"] = np.where(out, words & ~(fault >> np.uint32(1)), words)
     if getattr(judged, "statuses", None) is not None:  # of a monitor
         changed["statuses"] = _undecided_where(judged.statuses, out[..., None])
     claims: Claims = judged._replace(**changed)
@@ -56,9 +57,3 @@ def unclaimed(judged: Claims, departure: Departure) -> Claims:
 def _undecided_where(status: np.ndarray, out: np.ndarray) -> np.ndarray:
     """Return statuses, UNDECIDED in place of FAULT where `out` says."""
     return np.where(out & (status == Status.FAULT), np.int8(Status.UNDECIDED), status)
-
-
-def _without_fault(words: np.ndarray) -> np.ndarray:
-    """Return packed verdicts with UNDECIDED in place of FAULT: of both bits the low one goes."""
-    fault = words & (words << np.uint32(1)) & HIGH
-    return np.asarray(words & ~(fault >> np.uint32(1)))

@@ -9,7 +9,7 @@ import contextlib
 import math
 import os
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -25,7 +25,6 @@ from jaxbound.consistency.interface import (
     Easy,
     Judged,
     Observer,
-    Progress,
     Run,
     Verdicts,
     WindowTest,
@@ -33,7 +32,7 @@ from jaxbound.consistency.interface import (
 )
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.consistency.searched import only_searched
-from jaxbound.consistency.twice import decided_twice, warn_of
+from jaxbound.consistency.twice import warn_of
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import crossing
 from jaxbound.sets.floats.kernel import (
@@ -53,7 +52,7 @@ from jaxbound.sets.floats.probe import (
 )
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
-from jaxbound.text.progress import in_part, reporter
+from jaxbound.text.progress import Progress, in_part, reporter
 
 CORES = os.cpu_count() or 1
 AHEAD = 3  # groups of blocks that are under way at once
@@ -185,15 +184,22 @@ def _decided(
     report: Progress,
     size: int,
 ) -> Judged:
-    """Return the verdicts (*shape) of samples that are laid end to end, each FAULT decided twice."""
+    """Return the verdicts (*shape) of samples that are laid end to end, each FAULT decided twice: UNDECIDED
+    where a second look does not confirm it.
+    """
     judged = test.judged(_filled(test, u, y, shape, starts, report, size))
-    if test.confirms or is_outside_xla():
+    status = judged.status.reshape(-1)
+    # of nearly all recordings the maximum alone is asked for
+    if test.confirms or is_outside_xla() or status.max(initial=0) < Status.FAULT:
         return judged
-
-    def contradicted(ends: np.ndarray) -> np.ndarray:
-        return _contradicted(test, u, y, ends - test.horizon, size)
-
-    return decided_twice(test, judged, u, y, contradicted)
+    faulty = np.flatnonzero(status == Status.FAULT)
+    proved = _contradicted(test, u, y, faulty - test.horizon, size)
+    if proved.all():
+        return judged
+    judged, doubtful = test.withdrawn(judged, faulty, proved, u, y)
+    if doubtful.any():
+        warn_of(faulty[doubtful], len(faulty))
+    return judged
 
 
 def raw_outputs(test: WindowTest, u: Array, y: Array, starts: np.ndarray) -> list[np.ndarray]:
@@ -255,6 +261,16 @@ def _runner(test: WindowTest, devices: Devices, axis: int) -> Run:
     return run
 
 
+def _ahead(started: Iterable[T]) -> Iterator[T]:
+    """Yield work in its turn; the next pieces are started while one is under way."""
+    pending: deque[T] = deque()
+    for work in started:
+        pending.append(work)
+        if len(pending) >= AHEAD:
+            yield pending.popleft()
+    yield from pending
+
+
 def end_to_end(x: Array) -> np.ndarray:
     """Return samples (..., T, n) as (N, n), on the host."""
     x = np.asarray(x)
@@ -295,23 +311,18 @@ def _stretches(
     if len(firsts) < 2:
         devices = devices[:1]
     run = _runner(test, devices, 0)
-    pending: deque[tuple[range, Sequence[Arrays]]] = deque()
 
-    def collect(chosen: range, judged: Sequence[Arrays]) -> None:
-        for first, values in zip(chosen, judged, strict=True):
+    def judge(i: int) -> list[tuple[int, Arrays]]:
+        chosen = firsts[i : i + len(devices)]
+        blocks = [(_rows_from(u, first, size + s), _rows_from(y, first, size + s)) for first in chosen]
+        return list(zip(chosen, test.judge(run, blocks), strict=True))
+
+    for parts in _ahead(map(judge, range(0, len(firsts), len(devices)))):
+        for first, values in parts:
             stop = min(first + s + size, samples)
             for out, value in zip(outs, values, strict=True):
                 out[first + s : stop] = np.asarray(value)[: stop - first - s]
             report(stop / samples)
-
-    for i in range(0, len(firsts), len(devices)):
-        chosen = firsts[i : i + len(devices)]
-        blocks = [(_rows_from(u, first, size + s), _rows_from(y, first, size + s)) for first in chosen]
-        pending.append((chosen, test.judge(run, blocks)))
-        if len(pending) >= AHEAD:
-            collect(*pending.popleft())
-    for done in pending:
-        collect(*done)
     for out, (_, nothing) in zip(outs, kinds, strict=True):
         if samples:
             out.reshape(-1, length)[..., endless] = nothing
@@ -449,7 +460,7 @@ class _Gathering:
         groups = [starts[i : i + together] for i in range(0, len(starts), together)]
         workers = self._workers(devices)
         if workers == 1 or len(groups) < 2 or is_outside_xla():
-            judged = self._in_turn(groups, devices)
+            judged = _ahead(self._judge(group, devices) for group in groups)
         else:
             judged = self._on_threads(groups, devices, workers)
         left, finished = [NOWHERE], 0
@@ -467,15 +478,6 @@ class _Gathering:
         if self.test.sharded:
             return 1
         return len(devices)
-
-    def _in_turn(self, groups: list[np.ndarray], devices: Devices) -> Iterator[list[Part]]:
-        """Yield the parts of each group; the next groups are gathered while one is under way."""
-        pending: deque[list[Part]] = deque()
-        for group in groups:
-            pending.append(self._judge(group, devices))
-            if len(pending) >= AHEAD:
-                yield pending.popleft()
-        yield from pending
 
     def _on_threads(self, groups: list[np.ndarray], devices: Devices, workers: int) -> Iterator[list[Part]]:
         """Yield the same from threads: compiled code runs outside the interpreter's lock."""

@@ -17,16 +17,7 @@ from jax.typing import DTypeLike
 
 from jaxbound.consistency.check import contradicted_by
 from jaxbound.consistency.holes import HolesTest, whole_margins
-from jaxbound.consistency.interface import (
-    Arrays,
-    Cases,
-    Easy,
-    LinearRelations,
-    Outs,
-    Progress,
-    Run,
-    SignedTest,
-)
+from jaxbound.consistency.interface import Arrays, Cases, Easy, LinearRelations, Outs, Run, SignedTest
 from jaxbound.consistency.projection import easy_by
 from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.unproved import over_blocks, unproved_margins
@@ -35,6 +26,7 @@ from jaxbound.exact.frames import ExactFrame
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import is_outside_xla, kernel
 from jaxbound.sets.strips import separation
+from jaxbound.text.progress import Progress
 
 LARGE = 2048
 """Numbers of a window that an exchange changes, above which fewer stand side by side."""
@@ -142,28 +134,23 @@ class ExchangeTest(SignedTest):
         search does: as where all windows are searched there.
         """
         (margin,) = outs
-        self._whole_numbers(u, y, margin)
-        if is_outside_xla():
+        starts = np.flatnonzero(margin == 0) - self.horizon
+        if not len(starts):
             return
-        open_ = np.flatnonzero(margin == 0) - self.horizon
-        open_ = open_[~self._lacking(u, y, open_)]
-        for first in range(0, len(open_), TOGETHER):
-            starts = open_[first : first + TOGETHER]
-            windows = gather(u, y, starts, self.lags, self.horizon)
-            margin[starts + self.horizon] = self._holes.searched(*windows)
+        lacking = self._lacking(u, y, starts)
+        some = starts[lacking | thin(self.reading, *self._gather(u, y, starts))]
+        margin[some + self.horizon] = self.exactly(u, y, some)
+        if is_outside_xla():  # all windows were searched in NumPy
+            return
+        left = starts[~lacking & (margin[starts + self.horizon] == 0)]
+        for first in range(0, len(left), TOGETHER):
+            part = left[first : first + TOGETHER]
+            windows = gather(u, y, part, self.lags, self.horizon)
+            margin[part + self.horizon] = self._holes.searched(*windows)
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
         return unproved_margins(self, _smooth_margins, given)
-
-    def _whole_numbers(self, u: np.ndarray, y: np.ndarray, margin: np.ndarray) -> None:
-        """Decide thin windows, and those whose holes floats leave open, in whole numbers, in place."""
-        starts = np.flatnonzero(margin == 0) - self.horizon
-        if not len(starts):
-            return
-        windows = self._gather(u, y, starts)
-        starts = starts[thin(self.reading, *windows) | self._lacking(u, y, starts)]
-        margin[starts + self.horizon] = self.exactly(u, y, starts)
 
     def exactly(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Return (N,) margins in whole numbers, 0 where these do not tell either."""
@@ -188,9 +175,7 @@ def _smooth_margins(reading: Reading, u: jax.Array, y: jax.Array) -> jax.Array:
 
     def margins(u: jax.Array, y: jax.Array) -> jax.Array:
         rows = reading.block(u, y)
-        still = jax.lax.stop_gradient((reading.frame, rows.mid, rows.rad, rows.known))
-        best = separation.separation_best(*still)
-        return separation.margin_of(jax.lax.stop_gradient(best), rows.mid, rows.rad, rows.known)
+        return separation.separation_margin(reading.frame, rows.mid, rows.rad, rows.known)
 
     starts = jnp.arange(len(y) - reading.horizon)
     return over_blocks(margins, reading, u, y, starts, _block_of(reading.frame))
@@ -202,7 +187,8 @@ def candidates(reading: Reading, one: jax.Array, u: jax.Array, y: jax.Array) -> 
     nothing is proved yet.
     """
     image, steps = imaged(reading, one, u, y), 2 * reading.frame.R.shape[1] + 6
-    return *separation.separation_search(reading.frame, image, one, steps), *image
+    found = separation.exchange_search(reading.frame.R, image.z, image.radius, image.present, one, steps)
+    return *found, *image
 
 
 def imaged(reading: Reading, one: jax.Array, u: jax.Array, y: jax.Array) -> separation.Image:

@@ -14,24 +14,21 @@ Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import jax
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.consistency.check import LEAST, UNIT, HostImage, explained
-from jaxbound.consistency.holes import TOLD, HolesTest, refuted, signed
+from jaxbound.consistency.check import LEAST, UNIT, HostImage
+from jaxbound.consistency.holes import TOLD, Found, HolesTest
 from jaxbound.consistency.host_rows import doubles
 from jaxbound.consistency.interface import LinearRelations
 from jaxbound.consistency.strips_on_host import excludes_0
-from jaxbound.exact.frames import ExactFrame
 from jaxbound.models.rows import Kind
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.strips.chebyshev import fitted
 
-SIZE = 1e-6
-"""The least size of a margin whose sign is proved."""
 Ends: TypeAlias = tuple[np.ndarray, np.ndarray]
 """(lo, hi) of gains, each (g, 1)."""
 
@@ -47,6 +44,7 @@ class GainsTest(HolesTest):
     """
 
     block = 2**9
+    least = 1e-6
 
     def __init__(self, relations: LinearRelations, method: str, dtype: DTypeLike) -> None:
         super().__init__(relations, dtype)
@@ -66,19 +64,14 @@ class GainsTest(HolesTest):
         within = np.minimum(low * (1 + slip), 1), np.maximum(high * (1 - slip), 1)
         return _Gained(**vars(rows), gains=around, inner=within, own=own)
 
-    def decided(self, image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
-        """Return the margins (N,) of windows."""
+    def hints(self, image: HostImage) -> tuple[Found, HostImage]:
+        """Return what a search says of windows, and their rows at the gains that it found."""
         assert isinstance(image, _Gained)
-        found = image.searched(image.acting)
+        gains, found = image.searched(image.acting)
         tolerance = np.asarray(self.reading.tolerance)[:, None]
-        inside = explained(image.at(np.clip(found.gains, *image.inner)), found.x)
-        open_ = np.flatnonzero(~inside & ~found.idle)
-        outside = np.zeros_like(inside)
-        some = image.of_windows(open_)
-        outside[open_] = refuted(some, frame, found.h[:, open_], found.telling[open_])
-        off = np.abs(1 / found.gains[:-1] - 1) / np.where(tolerance > 0, tolerance, np.inf)
-        factor = np.maximum(image.factor(found), off.max(0))
-        return signed(factor, found.idle, inside, outside, dtype, SIZE)
+        off = np.abs(1 / gains[:-1] - 1) / np.where(tolerance > 0, tolerance, np.inf)
+        factor = np.maximum(image.factor(gains, found.x), off.max(0))
+        return found._replace(t=factor), image.at(np.clip(gains, *image.inner))
 
     def margins(self, given: Recording) -> jax.Array:
         """Raise: the best gains are found by a search that has no derivative."""
@@ -86,16 +79,6 @@ class GainsTest(HolesTest):
             "margins has no fast path for constant_tolerance, whose gains are searched for: use "
             "detect(...).margin"
         )
-
-
-class _Found(NamedTuple):
-    """Hints of a search: gains (g, N), x (k + n, N), h (c, N); telling and idle as of a `Fit`."""
-
-    gains: np.ndarray
-    x: np.ndarray
-    h: np.ndarray
-    telling: np.ndarray
-    idle: np.ndarray
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -157,8 +140,9 @@ class _Gained(HostImage):
         driven = self.K @ self.known
         return np.concatenate([columns, inner], 1), np.concatenate([driven, np.zeros((k, driven.shape[1]))])
 
-    def searched(self, free: np.ndarray) -> _Found:
-        """Return the hints of one linear program: a row lies between two ends that are linear in the gains.
+    def searched(self, free: np.ndarray) -> tuple[np.ndarray, Found]:
+        """Return gains (g, N) and hints of one linear program: a row lies between two ends that are linear in
+        the gains.
 
         Args: free (N, k + n): which unknowns are without bounds.
         """
@@ -193,12 +177,12 @@ class _Gained(HostImage):
         top = np.abs(h).max(0, initial=0)
         telling = np.where(fit.telling < 0, -1, fit.telling % (c + k))[:, :width]
         idle = self.there[:c].sum(0) == (telling >= 0).sum(1)
-        return _Found(gains, x[:, :width].T, h / np.where(top > 0, top, 1), telling, idle)
+        return gains, Found(fit.t, x[:, :width].T, h / np.where(top > 0, top, 1), telling, idle)
 
-    def factor(self, found: _Found) -> np.ndarray:
+    def factor(self, gains: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the factor (N,) on the bounds of all rows at which what was found explains them."""
         columns, driven = self._rows
-        off = (self._parts * found.gains[:, None]).sum(0) - driven
-        off = np.abs(off - np.einsum("ncq,qn->cn", columns, found.x))
-        room = np.maximum(self._each(found.gains) * self.radius, LEAST)
+        off = (self._parts * gains[:, None]).sum(0) - driven
+        off = np.abs(off - np.einsum("ncq,qn->cn", columns, x))
+        room = np.maximum(self._each(gains) * self.radius, LEAST)
         return np.asarray(np.where(self.there, off / room, 0).max(0))

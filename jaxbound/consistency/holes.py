@@ -59,6 +59,8 @@ class HolesTest(SignedTest):
     sharded = padded = False
     confirms = on_host = True
     block = 64
+    least: float | None = None
+    """The least size of a margin whose sign is proved; None: the precision of the type."""
 
     def __init__(self, relations: LinearRelations, dtype: DTypeLike) -> None:
         super().__init__(relations, "joint", dtype)
@@ -85,19 +87,24 @@ class HolesTest(SignedTest):
         """Return the rows of windows."""
         return HostImage.of(self.reading, u, y)
 
+    def hints(self, image: HostImage) -> tuple["Found", HostImage]:
+        """Return what a search says of windows, and the rows that its unknowns may explain."""
+        return _searched(image), image
+
     def decided(self, image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:
         """Return the margins (N,) of windows."""
-        found = _searched(image)
-        inside = explained(image, found.x)
+        found, near = self.hints(image)
+        inside = explained(near, found.x)
+        # a proof needs more than rounding, which t > 1 shows; to ask the others takes fractions
         open_ = np.flatnonzero((found.t > 1) & ~inside & ~found.idle)
         outside = np.zeros_like(inside)
         if len(open_):
             some, h, telling = image.of_windows(open_), found.h[:, open_], found.telling[open_]
-            outside[open_] = refuted(some, frame, h, telling)
-        return signed(found.t, found.idle, inside, outside, dtype)
+            outside[open_] = _refuted(some, frame, h, telling)
+        return _signed(found.t, found.idle, inside, outside, dtype, self.least)
 
 
-class _Found(NamedTuple):
+class Found(NamedTuple):
     """Hints: t (N,); x (k + n, N); h (c, N); telling, idle as of a `Fit`."""
 
     t: np.ndarray
@@ -137,7 +144,7 @@ def _decided_exactly(image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np
         shifted = {name: getattr(image, name) << power for name in finer}
         scaled = replace(image, start=image.middle << power, **shifted)
         inside[left] |= explained(scaled, x)
-        outside[left] |= refuted(image, frame, found.h, found.telling) & ~inside[left]
+        outside[left] |= _refuted(image, frame, found.h, found.telling) & ~inside[left]
         t[left], idle[left] = found.t, found.idle
         open_ = np.flatnonzero(~idle[left] & (~(inside | outside)[left] | (number == 0)))
         if not len(open_):
@@ -146,7 +153,7 @@ def _decided_exactly(image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np
         middle = image.middle.copy()
         middle[c:] += x[: len(middle) - c]
         image = replace(image, start=middle, known=image.known_with(x[len(middle) - c :]))
-    return signed(t, idle, inside, outside, dtype)
+    return _signed(t, idle, inside, outside, dtype)
 
 
 def _in_floats(image: HostImage) -> tuple[np.ndarray, ...]:
@@ -159,7 +166,7 @@ def _in_floats(image: HostImage) -> tuple[np.ndarray, ...]:
     return top, np.asarray(values, float), np.asarray(radius / top, float)
 
 
-def _searched(image: HostImage, values: np.ndarray | None = None, radius: np.ndarray | None = None) -> _Found:
+def _searched(image: HostImage, values: np.ndarray | None = None, radius: np.ndarray | None = None) -> Found:
     """Return the hints of windows; values, radius: of rows, in other units than those of an image in
     floats.
     """
@@ -177,10 +184,10 @@ def _searched(image: HostImage, values: np.ndarray | None = None, radius: np.nda
     fit = fitted(columns * scale[:, None, :], b, radii, image.there[:c].T, free, TOLD)
     h = np.where(image.there[:c], fit.h.T, 0)
     top = np.abs(h).max(0, initial=0)
-    return _Found(fit.t, (fit.x * scale).T, h / np.where(top > 0, top, 1), fit.telling, fit.idle)
+    return Found(fit.t, (fit.x * scale).T, h / np.where(top > 0, top, 1), fit.telling, fit.idle)
 
 
-def signed(
+def _signed(
     t: np.ndarray,
     idle: np.ndarray,
     inside: np.ndarray,
@@ -198,7 +205,7 @@ def signed(
     return np.where(idle, np.nan, margin).astype(dtype)
 
 
-def refuted(image: HostImage, frame: ExactFrame, h: np.ndarray, telling: np.ndarray) -> np.ndarray:
+def _refuted(image: HostImage, frame: ExactFrame, h: np.ndarray, telling: np.ndarray) -> np.ndarray:
     """Return (N,) bool: which windows combinations h (c, N) contradict, or those near them that are exact.
 
     Args:

@@ -6,6 +6,9 @@ ask of it is declared here, with a default wherever one is sound. A test sees bl
 recording: gaps, batches, devices, threads and progress belong to the driver (`drive`).
 """
 
+# mypy: allow-empty-bodies
+# of members that are declared for whoever checks types, and have their values elsewhere
+
 from __future__ import annotations
 
 import copy
@@ -46,45 +49,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress
-
-__all__ = [
-    "BOUNDS",
-    "EXACT",
-    "FAMILIES",
-    "MARGINS",
-    "METHODS",
-    "MONITOR",
-    "OBSERVER",
-    "Arrays",
-    "Block",
-    "Budget",
-    "GONE",
-    "Cases",
-    "Easy",
-    "Judged",
-    "LinearRelations",
-    "LinearTest",
-    "Observer",
-    "Open",
-    "Outputs",
-    "Outs",
-    "Progress",
-    "Reach",
-    "Relations",
-    "Run",
-    "SignedTest",
-    "Starts",
-    "Verdicts",
-    "Watch",
-    "WindowReading",
-    "WindowTest",
-    "family",
-    "refuse_options",
-    "relations_of",
-    "margins_for",
-    "window_count",
-    "with_margins",
-]
 
 METHODS = ("joint", "box")
 GONE = {
@@ -225,17 +189,14 @@ class Relations:
         @property
         def model(self) -> SignalModel:
             """The names of the signals, and the plant where there is one."""
-            raise NotImplementedError
 
         @property
         def horizon(self) -> int:
             """A window has horizon + 1 samples; of an observer, the samples before its first verdict."""
-            raise NotImplementedError
 
         @property
         def bounds(self) -> Bounds:
             """{name: numbers} that verdicts rest on; empty: nothing can be tuned."""
-            raise NotImplementedError
 
         @property
         def made(self) -> tuple[object, ...] | None:
@@ -243,52 +204,42 @@ class Relations:
 
             Kept verdicts are found again by it. Without it none are kept.
             """
-            raise NotImplementedError
 
         @property
         def methods(self) -> tuple[str, ...]:
             """The methods of `test`, the usual one first."""
-            raise NotImplementedError
 
         @property
         def count(self) -> int:
             """The number of relations."""
-            raise NotImplementedError
 
         @property
         def lags(self) -> tuple[int, ...] | None:
             """The samples before its last at which a window looks; None: all of them."""
-            raise NotImplementedError
 
         @property
         def tested(self) -> str:
             """How combinations of relations are tested, in words; "": there are none."""
-            raise NotImplementedError
 
         @property
         def notes(self) -> tuple[str, ...]:
             """Sentences for whoever reads a report."""
-            raise NotImplementedError
 
         @property
         def searched(self) -> bool:
             """Whether a search decides the windows, which takes long enough for a thread of its own."""
-            raise NotImplementedError
 
         @property
         def restart(self) -> bool:
             """Whether an observer begins anew behind a FAULT; else FAULT stays until a gap."""
-            raise NotImplementedError
 
         @property
         def informed(self) -> bool:
             """Whether an observer knows more of the first sample of a recording than of one behind a gap."""
-            raise NotImplementedError
 
         @property
         def parts(self) -> Mapping[str, Relations]:
             """The tests of a monitor by their names; empty: this is one test."""
-            raise NotImplementedError
 
     else:
         bounds: Bounds = MappingProxyType({})
@@ -407,32 +358,26 @@ class LinearRelations(Relations):
         @property
         def model(self) -> LinearSystem:
             """The plant."""
-            raise NotImplementedError
 
         @property
         def W(self) -> Matrix:
             """(count, (s+1)p + gs): the relations, independent of each other."""
-            raise NotImplementedError
 
         @property
         def K(self) -> Matrix:
             """(count, l): the inputs in the relations."""
-            raise NotImplementedError
 
         @property
         def circuits(self) -> Matrix:
             """Combinations of relations with the fewest samples, all of them; none: too many."""
-            raise NotImplementedError
 
         @property
         def circuits_known(self) -> Matrix:
             """The inputs in the circuits."""
-            raise NotImplementedError
 
         @property
         def frame(self) -> ExactFrame | None:
             """The numbers that the exchange search needs where circuits are too many, else None."""
-            raise NotImplementedError
 
     @property
     def linear(self) -> Self:
@@ -940,8 +885,8 @@ class Open(WindowTest):
 
     def judge(self, run: Run, blocks: Sequence[Block]) -> Sequence[Arrays]:
         """Return UNDECIDED for all windows."""
-        return [self._undecided(y.shape[-1]) for _, y in blocks]
-
-    def _undecided(self, count: int) -> Arrays:
-        status = np.full(count, Status.UNDECIDED, np.int8)
-        return status, np.full(count, self.margin, self.dtype)
+        judged = []
+        for _, y in blocks:
+            status = np.full(y.shape[-1], Status.UNDECIDED, np.int8)
+            judged.append((status, np.full(len(status), self.margin, self.dtype)))
+        return judged

@@ -47,8 +47,6 @@ from jaxbound.sets.floats.status import Status
 from jaxbound.sets.floats.threads import inherited
 from jaxbound.text.objects import readable
 
-__all__ = ["NO", "UNKNOWN", "YES", "BankState", "MonitorBank", "Watch", "claimed", "combined"]
-
 Piece = TypeVar("Piece", bound=Recording)
 BEFORE = np.int8(-1)
 """In place of NO, YES and UNKNOWN before the first sample."""

@@ -12,17 +12,7 @@ from jax.typing import DTypeLike
 
 from jaxbound.consistency.bisection import whole_budget
 from jaxbound.consistency.drive import raw_outputs
-from jaxbound.consistency.interface import (
-    Array,
-    Arrays,
-    Budget,
-    Cases,
-    Open,
-    Outs,
-    Progress,
-    Run,
-    WindowTest,
-)
+from jaxbound.consistency.interface import Array, Arrays, Budget, Cases, Open, Outs, Run, WindowTest
 from jaxbound.consistency.parametric_margins import parametric_margins
 from jaxbound.consistency.parametric_windows import (
     BLOCK,
@@ -40,11 +30,13 @@ from jaxbound.consistency.parametric_windows import (
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.consistency.twice import warn_doubtful
-from jaxbound.consistency.unproved import is_traced, within
+from jaxbound.consistency.unproved import within
 from jaxbound.recordings.arrays import refuse_infinite
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.status import Status
+from jaxbound.text.progress import Progress
 
 LACKING = 2**5
 """Windows at once that lack the same samples, where they are few."""

@@ -17,7 +17,8 @@ import numpy as np
 from jaxbound.consistency.interface import Array
 from jaxbound.consistency.parametric_windows import SEARCHED, by_vertices, cases, terms_of
 from jaxbound.consistency.polynomial_reading import PolynomialReading, PolynomialRelations
-from jaxbound.consistency.unproved import is_traced, over_blocks
+from jaxbound.consistency.unproved import over_blocks
+from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.strips import polynomials, varying
 
 
@@ -57,15 +58,11 @@ def _vertex_margins(reading: PolynomialReading, vertices: bool, u: jax.Array, y:
     else:
         c, G = polynomials.image(value, spread, rad, reading.exponents)
         h, z = jax.lax.stop_gradient(varying.farthest(*jax.lax.stop_gradient((c, G, 0 * c))))
-        residual, width = jax.lax.stop_gradient(_across(h, c, G))
+        residual = jnp.abs(jnp.sum(jax.lax.stop_gradient(h * c), 0))
+        width = jnp.sum(jnp.abs(jnp.sum(jax.lax.stop_gradient(h[:, None] * G), 0)), 0)
         change = jnp.sum(h * (c + jnp.sum(G * z[None], 1)), 0) * jnp.where(jnp.sum(h * c, 0) < 0, -1, 1)
         t = _ratio(residual, width) + _ratio(change - jax.lax.stop_gradient(change), width)
     return jnp.where(jnp.any(gone, 0), jnp.nan, 1 - t)
-
-
-def _across(h: jax.Array, c: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (|h c|, sum_j |h g_j|)."""
-    return jnp.abs(jnp.sum(h * c, 0)), jnp.sum(jnp.abs(jnp.sum(h[:, None] * G, 0)), 0)
 
 
 def _ratio(a: jax.Array, b: jax.Array) -> jax.Array:

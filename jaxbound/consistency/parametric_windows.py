@@ -110,12 +110,6 @@ def by_vertices(relations: PolynomialRelations) -> bool:
     return few and polynomials.multiaffine(relations.exponents)
 
 
-def _noise_part(reading: PolynomialReading, z: jax.Array) -> jax.Array:
-    """Return the noises among the columns of an image."""
-    lumps = len(reading.N) if reading.noisy and len(reading.exponents) > 1 else 0
-    return z[len(z) - lumps - len(reading.noisy) : len(z) - lumps]
-
-
 @kernel
 def terms_of(reading: PolynomialReading, u: jax.Array, y: jax.Array) -> Polynomials:
     """Return the polynomials of windows, and one bound on the error of each row."""
@@ -140,9 +134,8 @@ def alone(reading: PolynomialReading, terms: Polynomials, proved: bool) -> tuple
             )
             inside = inside & holds
         else:
-            margin = varying.strip_margins(
-                *polynomials.image(value[row], spread[row], rad, reading.exponents), error[row]
-            )
+            c, G = polynomials.image(value[row], spread[row], rad, reading.exponents)
+            margin = varying.refutes(c, G, error[row], jnp.ones_like(c))
             inside = inside & False
         worst = jnp.minimum(worst, margin)
     decided = jnp.where(worst < 0, Status.FAULT, jnp.where(inside, Status.CONSISTENT, Status.UNDECIDED))
@@ -169,7 +162,9 @@ def candidates(
     value, rad, error = value[..., owner], rad[..., owner], error[..., owner]
     c, G = polynomials.image(value, spread, rad, reading.exponents, mid, radius)
     h, z = varying.farthest(c, G, error)
-    start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), _noise_part(reading, z)])
+    lumps = len(reading.N) if reading.noisy and len(reading.exponents) > 1 else 0
+    noises = z[len(z) - lumps - len(reading.noisy) : len(z) - lumps]
+    start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), noises])
     axis = jnp.argmax(polynomials.bends(value, reading.exponents, radius), 0)
     return Polynomials(value, error, spread, rad), (c, G), Hints(h, start, axis)
 
@@ -305,19 +300,11 @@ def bisected(
         leaves.append(Leaves(owner, lo, hi, h).chosen(margin < 0))
         return Verdicts(~(margin < 0) & ~found, found, (start, start), None, axis)
 
-    if budget == 1:  # of one level nothing is cut
-        lo, hi = (np.repeat(x[:, None], count, 1) for x in (-one, one))
-        now = judge(lo, hi, np.arange(count, dtype=np.int32))
-        status = np.where(now.keep, np.int8(Status.UNDECIDED), np.int8(Status.FAULT))
-        status[now.proved] = Status.CONSISTENT
-        margin, points = levels[0]
-    else:
-        *_, cover = explore(judge, -one, one, count, 200, budget, first=True)
-        margin, points = levels[0]
-        points[:, cover.proofs.owner] = cover.proofs.lo
-        status = cover.status
+    *_, cover = explore(judge, -one, one, count, 200, budget, first=True)
+    margin, points = levels[0]
+    points[:, cover.proofs.owner] = cover.proofs.lo
     every = Leaves(*(np.concatenate(x, -1) for x in zip(*leaves, strict=True)))
-    status = np.where(np.isnan(margin), np.int8(Status.MISSING), status)
+    status = np.where(np.isnan(margin), np.int8(Status.MISSING), cover.status)
     return status, margin, every, points
 
 

@@ -8,6 +8,9 @@ some v in the box
 Source: Ploix, Adrot 2006, (6), (14).
 """
 
+# mypy: allow-empty-bodies
+# of members that are declared for whoever checks types, and have their values elsewhere
+
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self, TypeAlias
@@ -154,12 +157,10 @@ class PolynomialRelations(Relations):
         @property
         def variables(self) -> tuple[tuple[str, int | None], ...]:
             """((name of the parameter, lag or None), ..): what the polynomials are in."""
-            raise NotImplementedError
 
         @property
         def complete(self) -> str:
             """Whether the relations say all that can be said: "proved", "sampled" or "partial"."""
-            raise NotImplementedError
 
     @property
     def exponents(self) -> Exponents:

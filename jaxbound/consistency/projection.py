@@ -40,16 +40,16 @@ class _Easy(SignedTest):
     """Settles easy windows and says nothing of the others: their margin is 0.
 
     Args:
-        relations, dtype: as of `ExchangeTest`. given: from `projection`. reading: how windows are read.
+        relations, dtype: as of `ExchangeTest`. projection: from `easy_by`. reading: how windows are read.
     """
 
     confirms = True
 
     def __init__(
-        self, relations: LinearRelations, dtype: DTypeLike, given: Projection, reading: Reading
+        self, relations: LinearRelations, dtype: DTypeLike, projection: Projection, reading: Reading
     ) -> None:
         super().__init__(relations, "joint", dtype)
-        self.projection, self.reading = given, reading
+        self.projection, self.reading = projection, reading
 
     @property
     def constants(self) -> Given:
@@ -130,20 +130,6 @@ def _of_windows(given: Given, u: jax.Array, y: jax.Array) -> tuple[jax.Array, ja
 
 def easy_by(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -> Easy | None:
     """Return the tests that settle easy windows by a projection; None where there is none of use."""
-    weighted = bool(np.any(reading.tolerance)) or bool(reading.times)
-    given = projection(relations, reading, dtype, weighted)
-    if given is None:
-        return None
-    stretches = None
-    if len(given.outer) + len(given.inner) <= ROWS:
-        stretches = EasyStretches(relations, dtype, given, reading)
-    return Easy(stretches, EasyWindows(relations, dtype, given, reading))
-
-
-def projection(
-    relations: LinearRelations, reading: Reading, dtype: DTypeLike, weighted: bool
-) -> Projection | None:
-    """Return the projection of windows; None where there is none of use. weighted: see `projection_of`."""
     frame, rows = relations.frame, reading.window.all
     if frame is None or not frame.inner:
         return None
@@ -154,8 +140,14 @@ def projection(
     kept = looked[outer] > 0
     outer = outer[kept]
     R, K = np.asarray(reading.frame.R)[kept], np.asarray(reading.frame.K)[kept]
-    radius = typical[[*outer, *inner]]
-    return projection_of(R, K, radius, outer.tolist(), inner, dtype, weighted)
+    radius, weighted = typical[[*outer, *inner]], bool(np.any(reading.tolerance)) or bool(reading.times)
+    projection = projection_of(R, K, radius, outer.tolist(), inner, dtype, weighted)
+    if projection is None:
+        return None
+    stretches = None
+    if len(radius) <= ROWS:
+        stretches = EasyStretches(relations, dtype, projection, reading)
+    return Easy(stretches, EasyWindows(relations, dtype, projection, reading))
 
 
 def _typical(reading: Reading, row: Row) -> float:

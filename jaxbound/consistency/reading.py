@@ -175,25 +175,19 @@ class Reading:
         if self.times:
             each = [self.noise_at(u, i) * jnp.ones_like(y[:, i]) for i in range(y.shape[1])]
             noise = jnp.stack(each, 1)
-        (mid,), (rad,), (scale,) = sensor.true_value(
-            [y],
+        own = sensor.true_value(
+            y,
             self.tolerance[None, :, None],
             noise,
             self.resolution[None, :, None],
             self.offset_y[None, :, None],
             largest,
         )
-        mid, rad, scale = mid.reshape(-1, count), rad.reshape(-1, count), scale.reshape(-1, count)
+        parts = [tuple(x.reshape(-1, count) for x in own)]
         if self.horizon and len(self.disturbance):
-            w_mid, w_rad, w_scale = self._disturbance(y[0, 0])
-            mid = jnp.concatenate([mid, *[w_mid] * self.horizon])
-            rad = jnp.concatenate([rad, *[w_rad] * self.horizon])
-            scale = jnp.concatenate([scale, *[w_scale] * self.horizon])
-        for number in range(len(self.window.sums)):
-            own_mid, own_rad, own_scale = self._summed(number, whole, largest[0])
-            mid = jnp.concatenate([mid, own_mid])
-            rad = jnp.concatenate([rad, own_rad])
-            scale = jnp.concatenate([scale, own_scale])
+            parts += [self._disturbance(y[0, 0])] * self.horizon
+        parts += [self._summed(number, whole, largest[0]) for number in range(len(self.window.sums))]
+        mid, rad, scale = map(jnp.concatenate, zip(*parts, strict=True))
         u = self.inputs(u)
         known = u - self.offset_u[None, :, None]
         known_scale = abs(u) + abs(self.offset_u)[None, :, None]

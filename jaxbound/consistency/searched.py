@@ -12,8 +12,8 @@ from typing import TypeAlias
 import numpy as np
 
 from jaxbound.consistency.interface import Judged, WindowTest
-from jaxbound.sets.floats.kinds import named
-from jaxbound.sets.floats.probe import kind_of_device, searching_device, usable_devices
+from jaxbound.sets.floats.kinds import kind_of_device, named
+from jaxbound.sets.floats.probe import searching_device, usable_devices
 from jaxbound.sets.floats.status import Status
 
 NOT_REFUTED = "not refuted, by a device that was not examined"

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.consistency.folded import folded_verdict, folds, known_columns
-from jaxbound.consistency.interface import Arrays, LinearTest, Outs, Progress, Run
+from jaxbound.consistency.interface import Arrays, LinearTest, Outs, Run
 from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.strips_on_host import HostStrips, host_strips
 from jaxbound.consistency.unproved import stretch_block, unproved_margins
@@ -20,7 +20,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.strips.strips import status_of, strip_margin, strip_verdict
-from jaxbound.text.progress import reporter
+from jaxbound.text.progress import Progress, reporter
 
 UNDECIDED = np.int8(Status.UNDECIDED)  # an enumeration would be three times as slow to compare
 

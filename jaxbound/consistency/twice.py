@@ -7,52 +7,23 @@ window is UNDECIDED and a warning tells what to report.
 A test that searches hands the driver its hints, and each FAULT of a block is proved by them
 (`WindowTest.refuted`); else the window is left open, and what no later search decides is asked of whole
 numbers (`WindowTest.exactly`). Of a test without hints each FAULT is confirmed once all windows are judged
-(`decided_twice`), by a short way in NumPy with a stated error, then in whole numbers:
+(`drive`), by a short way in NumPy with a stated error, then in whole numbers:
 `WindowTest.contradicted`; without one its own kernels are evaluated once more, primitive by primitive in
 NumPy. What proves each FAULT itself, as all tests of the package do that search or bisect, says so
 (`WindowTest.confirms`).
 """
 
-from collections.abc import Callable
 from importlib.metadata import version
 
 import jax
 import numpy as np
 
-from jaxbound.consistency.interface import Judged, WindowTest
 from jaxbound.sets.floats.probe import is_searching
-from jaxbound.sets.floats.status import Status
 from jaxbound.text.warned import warn
 
 
 class Doubtful(RuntimeWarning):
     """A proof by XLA is not confirmed outside XLA: the verdict is UNDECIDED."""
-
-
-def decided_twice(
-    test: WindowTest,
-    judged: Judged,
-    u: np.ndarray,
-    y: np.ndarray,
-    contradicted: Callable[[np.ndarray], np.ndarray],
-) -> Judged:
-    """Return the verdicts of windows with those FAULT UNDECIDED that a second look does not confirm.
-
-    Args:
-        test: the WindowTest. judged: its verdicts. u (T, m), y (T, p): all samples. contradicted: says of
-            windows, by the samples at which they end, which contradict their bounds, without XLA.
-    """
-    status = judged.status.reshape(-1)
-    if status.max(initial=0) < Status.FAULT:  # of nearly all recordings the maximum alone is asked for
-        return judged
-    faulty = np.flatnonzero(status == Status.FAULT)
-    proved = contradicted(faulty)
-    if proved.all():
-        return judged
-    judged, doubtful = test.withdrawn(judged, faulty, proved, u, y)
-    if doubtful.any():
-        warn_of(faulty[doubtful], len(faulty))
-    return judged
 
 
 def warn_of(ends: np.ndarray, faults: int) -> None:

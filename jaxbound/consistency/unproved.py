@@ -13,16 +13,12 @@ from jaxbound.consistency.drive import raw_outputs
 from jaxbound.consistency.interface import Array, LinearTest, WindowReading
 from jaxbound.consistency.reading import Reading
 from jaxbound.recordings.recording import Recording
+from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import UNROLLED, Strips
 
 Smooth: TypeAlias = Callable[[Reading, jax.Array, jax.Array], jax.Array]
 """Margins (N,) of the windows of a stretch (reading, u, y), to be differentiated."""
-
-
-def is_traced(*trees: object) -> bool:
-    """Return whether anything in these PyTrees is traced."""
-    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(trees))
 
 
 def stretch_block(reading: Reading) -> int:

@@ -14,9 +14,10 @@ import numpy as np
 
 from jaxbound.consistency.drive import windows
 from jaxbound.consistency.interface import METHODS, Relations
-from jaxbound.consistency.monitorbank import YES, MonitorBank
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.suspects import nameless
+from jaxbound.models.watched import YES
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.status import Status

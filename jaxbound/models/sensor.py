@@ -10,7 +10,6 @@ sigma)) and t_lo = min over the same two of y - rho (mu is monotone in theta and
 without cancellation, without a case distinction and differentiable.
 """
 
-from collections.abc import Sequence
 from typing import TypeVar
 
 import jax
@@ -38,51 +37,35 @@ def true_range(d: Numbers, rho: Numbers, tolerance: Numbers, e: Numbers) -> tupl
 
 
 def true_value(
-    samples: Sequence[jax.Array],
+    y: jax.Array,
     tolerance: jax.Array,
-    noise: jax.Array | Sequence[jax.Array],
+    noise: jax.Array,
     resolution: jax.Array,
     offset: jax.Array,
-    largest: jax.Array | None = None,
-) -> tuple[list[jax.Array], list[jax.Array], list[jax.Array]]:
-    """Return (mid, rad, scale) of the true values behind the samples of one output in one window, minus the
-    offset.
+    largest: jax.Array,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return (mid, rad, scale) of the true values behind samples, minus the offset.
 
     Args:
-        samples: the s + 1 recorded values of one output, each a scalar or an array over windows; NaN where
-            absent.
-        tolerance, noise, resolution, offset: of that output, scalars, taken as exact; noise that differs from
-            sample to sample: as the samples, off by one rounding.
-        largest: the largest magnitude among the samples, if the caller has it (else the samples must be all
-            of the window's).
+        y: recorded values, an array over samples, outputs or windows; NaN where absent.
+        tolerance, noise, resolution, offset: of their outputs, taken as exact; noise that differs from sample
+            to sample may be off by one rounding.
+        largest: the largest magnitude of the output in its window.
 
     Returns:
-        Three lists of s + 1: middle (NaN where absent), radius, and the magnitude that rounding errors are
+        Three arrays like y: middle (NaN where absent), radius, and the magnitude that rounding errors are
         relative to (`rounding.residual_error`), all of the dtype of the samples. Every radius is > 0.
     """
     e = 1 / ((1 - tolerance) * (1 + tolerance))
-    absent = list(map(jnp.isnan, samples))
-    # keeps NaN out of gradients
-    samples = [jnp.where(gone, 0, y) for gone, y in zip(absent, samples, strict=True)]
-    if largest is None:
-        largest = abs(samples[0])
-        for y in samples[1:]:
-            largest = jnp.maximum(largest, abs(y))
+    absent = jnp.isnan(y)
+    y = jnp.where(absent, 0, y)  # keeps NaN out of gradients
     # an infinite sample stays its own row's matter
-    largest = jnp.minimum(largest, np.finfo(largest.dtype).max)
-    if isinstance(noise, Sequence):
-        each = [_rho(x, resolution, largest) for x in noise]
-    else:
-        each = [_rho(noise, resolution, largest)] * len(samples)
-    mid, rad, scale = [], [], []
-    for gone, y, rho in zip(absent, samples, each, strict=True):
-        middle, radius = true_range(y - offset, rho, tolerance, e)
-        mid.append(jnp.where(gone, jnp.nan, middle))
-        rad.append(radius)
-        size = e * (1 + tolerance) * (abs(y) + abs(offset)) + rad[-1]
-        # 0 * inf is NaN in every row of a window with an infinite sample, and NaN is absence, never overflow
-        scale.append(jnp.where(gone, jnp.nan, jnp.where(size < jnp.inf, size, jnp.inf)))
-    return mid, rad, scale
+    rho = _rho(noise, resolution, jnp.minimum(largest, np.finfo(largest.dtype).max))
+    middle, rad = true_range(y - offset, rho, tolerance, e)
+    size = e * (1 + tolerance) * (abs(y) + abs(offset)) + rad
+    # 0 * inf is NaN in every row of a window with an infinite sample, and NaN is absence, never overflow
+    size = jnp.where(size < jnp.inf, size, jnp.inf)
+    return jnp.where(absent, jnp.nan, middle), rad, jnp.where(absent, jnp.nan, size)
 
 
 def _rho(noise: jax.Array, resolution: jax.Array, largest: jax.Array) -> jax.Array:

@@ -5,9 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxbound.consistency.monitorbank import NO, UNKNOWN, YES, MonitorBank
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.monitored import MonitorResult
 from jaxbound.diagnosis.result import Result
+from jaxbound.models.watched import NO, UNKNOWN, YES
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.counts import STRETCHES, CountsByTest, OfTest, Unwatched
 from jaxbound.runs.digest import Digest

@@ -9,7 +9,8 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.consistency import monitor
-from jaxbound.consistency.monitorbank import NO, UNKNOWN, YES, combined
+from jaxbound.consistency.monitorbank import combined
+from jaxbound.models.watched import NO, UNKNOWN, YES
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.judges import Carried
 from jaxbound.runs.loop import Laps

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import jaxbound as jb
 from jaxbound.cli import main
-from jaxbound.consistency.monitorbank import NO, UNKNOWN, YES
+from jaxbound.models.watched import NO, UNKNOWN, YES
 from jaxbound.recordings import meansource
 from jaxbound.recordings.clockintervals import every_text, seconds_of
 from jaxbound.recordings.means import recorded_model

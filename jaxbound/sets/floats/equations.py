@@ -1,8 +1,8 @@
 """The equations of a jaxpr: what one calls, and how its primitive is applied."""
 
-from collections.abc import Iterator, Mapping
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var
@@ -39,7 +39,8 @@ def bind(eqn: JaxprEqn, *values: Any, **changed: Any) -> list[Any]:
 def inner_jaxprs(eqn: JaxprEqn) -> list[ClosedJaxpr] | None:
     """Return the jaxprs that a call, a branch or a loop evaluates; None for a primitive."""
     if eqn.primitive.name in LOOPS_AND_BRANCHES:
-        return [*_jaxprs(eqn.params)]
+        given = (x if isinstance(x, tuple) else (x,) for x in eqn.params.values())
+        return [x for values in given for x in values if isinstance(x, ClosedJaxpr)]
     called = body(eqn)
     return None if called is None else [called]
 
@@ -47,13 +48,6 @@ def inner_jaxprs(eqn: JaxprEqn) -> list[ClosedJaxpr] | None:
 def by_key(eqn: JaxprEqn) -> bool:
     """True for a sort that moves other arrays along."""
     return eqn.primitive.name == "sort" and len(eqn.invars) > 1
-
-
-def _jaxprs(params: Mapping[str, Any]) -> Iterator[ClosedJaxpr]:
-    for value in params.values():
-        yield from (
-            v for v in (value if isinstance(value, tuple) else (value,)) if isinstance(v, ClosedJaxpr)
-        )
 
 
 def inexact(aval: object) -> bool:
@@ -64,3 +58,8 @@ def inexact(aval: object) -> bool:
 def dtype_of(v: Var | Literal) -> np.dtype:
     """Return the type of the numbers of a variable."""
     return v.aval.dtype  # type: ignore[attr-defined]  # every variable here is an array
+
+
+def is_traced(*trees: object) -> bool:
+    """Return whether anything in these PyTrees is traced: inside jit, vmap, grad or scan."""
+    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(trees))

@@ -25,7 +25,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 
-from jaxbound.sets.floats.equations import body, dtype_of
+from jaxbound.sets.floats.equations import body, dtype_of, is_traced
 from jaxbound.sets.floats.numpy_moves import MOVED, SMALL
 from jaxbound.sets.floats.numpy_primitives import COMPUTED
 
@@ -247,9 +247,7 @@ class Kernel:
         if not is_outside_xla() and not self.wide:
             return self._compiled(*args, **kwargs)
         given = self._arrays(args, kwargs)
-        if any(
-            isinstance(x, jax.core.Tracer) for x in given
-        ):  # a part of a program that is being written down
+        if is_traced(given):  # a part of a program that is being written down
             return self._compiled(*args, **kwargs)
         if not is_outside_xla():
             return self._alone(*args, **kwargs)

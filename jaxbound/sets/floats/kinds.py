@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
-from importlib.metadata import version
 
 import jax
+import jaxlib
 import numpy as np
 from jax.typing import DTypeLike
 
@@ -38,19 +38,13 @@ def kind_of_device(device: jax.Device) -> dict[str, str]:
         "platform": "NVIDIA" if nvidia else device.platform,
         "capability": capability,
         "driver": driver,
-        "jaxlib": _jaxlib(),
+        "jaxlib": jaxlib.__version__,
     }
 
 
 def named(kind: dict[str, str]) -> str:
     """Return a kind of device in words, like "NVIDIA 9.0"."""
     return " ".join(x for x in (kind["platform"], kind["capability"]) if x)
-
-
-@cache
-def _jaxlib() -> str:
-    """Return the version of jaxlib: looking it up takes a millisecond."""
-    return version("jaxlib")
 
 
 def most_of_a_quotient(device: jax.Device, dtype: DTypeLike) -> float:

@@ -107,6 +107,7 @@ _plain(
     atanh=np.arctanh,
     pow=np.power,
     logistic=_logistic,
+    clamp=lambda lo, x, hi: np.minimum(np.maximum(x, lo), hi),
     is_finite=np.isfinite,
     eq=np.equal,
     ne=np.not_equal,
@@ -126,11 +127,6 @@ _plain(
     device_put=_several,
 )
 _plain(**{"and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert})
-
-
-@_entry("clamp")
-def _clamp(params):
-    return lambda lo, x, hi: np.minimum(np.maximum(x, lo), hi)
 
 
 @_entry("complex")

@@ -38,22 +38,6 @@ from jaxbound.sets.floats.examined import (
 from jaxbound.sets.floats.kinds import is_cpu_default, kind_of_device, named
 from jaxbound.text.warned import warn
 
-__all__ = [
-    "EXAMINED",
-    "Unverified",
-    "default_device",
-    "examined_devices",
-    "is_searching",
-    "kind_of_device",
-    "refuse_other_modes",
-    "refuse_unusable",
-    "refuse_unverified",
-    "searching",
-    "searching_device",
-    "usable_devices",
-    "where_proofs_hold",
-]
-
 _state = threading.local()
 
 

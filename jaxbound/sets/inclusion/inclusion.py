@@ -20,8 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
+from jaxbound.sets.floats.unrolled import stored
 from jaxbound.sets.inclusion.derivatives import plain
 from jaxbound.sets.inclusion.functions import forgets, frozen
 from jaxbound.sets.inclusion.jaxprs import Value, evaluate, refuse_unsupported
@@ -124,7 +126,7 @@ def _run(kernel: Callable[..., Any], F: Inclusion, args: tuple[Any, ...], option
     refuse_unverified(args, options)
     leaves, structure = jax.tree.flatten((args, options), is_leaf=lambda x: isinstance(x, Interval))
     sets = tuple(isinstance(x, Interval) for x in leaves)
-    if not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((args, options))):
+    if not is_traced(args, options):
         F = Inclusion(frozen(F.f), F.method)
     try:
         return kernel(F, _in_one_dtype([_leaf(x) for x in leaves], sets), structure, sets)
@@ -150,11 +152,7 @@ def _leaf(x):
             raise ValueError(
                 f"lo and hi of an Interval must have one shape: {jnp.shape(x.lo)} and {jnp.shape(x.hi)}"
             )
-        return (
-            x
-            if isinstance(x.lo, jax.core.Tracer) or isinstance(x.hi, jax.core.Tracer)
-            else interval(x.lo, x.hi)
-        )
+        return x if is_traced(x) else interval(x.lo, x.hi)
     if isinstance(x, bool | int | np.integer | np.bool_):
         return x
     if isinstance(x, jax.core.Tracer):
@@ -280,7 +278,8 @@ def _sharpened(traced, best):
     sign pin the bounds.
     """
     z = traced.vector()
-    J, c = _once(traced.jacobian()), mid(z)
+    # stored: the compiler would work J out again for each of its uses
+    J, c = stored(traced.jacobian()), mid(z)
     m = J.shape[0]
     boxes = [jax.tree.map(lambda v: v[None], x) for x in (z, Interval(c, c))]
     if best:
@@ -301,14 +300,6 @@ def _sharpened(traced, best):
     for i in traced.real:
         outs[i], start = _part(sharp, start, outs[i].shape)
     return outs
-
-
-def _once(J: Interval) -> Interval:
-    """Return J, worked out once: the compiler repeats what made it for each of its uses, but never a
-    division, even one by 1.
-    """
-    one = jnp.where(J.lo > J.hi, 2, 1).astype(J.dtype)  # J is not empty, which the compiler does not know
-    return Interval(J.lo / one, J.hi / one)
 
 
 def _faces(z: Interval, J: Interval) -> tuple[Interval, Interval]:

@@ -90,6 +90,7 @@ BASES = {  # base b: log_b 2 in two parts, 1 / log_b 2, log b
     "2": (two_parts(Fraction(1), GRID), 1.0, float(LOG_2)),
     "10": (two_parts(LOG_2 / LOG_10, GRID), float(LOG_10 / LOG_2), float(LOG_10)),
 }
+INVERSE = {"e": 1.0, "2": float(1 / LOG_2), "10": float(1 / LOG_10)}  # 1 / log b
 
 
 # Taylor coefficients, from the first one left out of the leading terms; the last term dropped is below 0.1 u
@@ -151,34 +152,25 @@ def _exp_parts(x: jax.Array, base: str = "e") -> tuple[jax.Array, jax.Array]:
     return r + r * r * series(r, EXP), k
 
 
-def _exponential(x: jax.Array, base: str) -> jax.Array:
-    """Return base^x: 0 where it is below 1.42 times the smallest normal number, twice which
+def _exponential(base: str) -> Function:
+    """Return the function base^x: 0 where it is below 1.42 times the smallest normal number, twice which
     `rounding.outward` adds.
     """
-    top, per_unit = np.finfo(x.dtype).maxexp, BASES[base][1]
-    if base == "2":  # its smallest value is exact
-        s, k = _exp_parts(jnp.clip(x, -1.1 * top, 1.1 * top), base)
-        return rounding.scale(1 + s, k)
-    s, k = _exp_parts(jnp.clip(x, (2 - top) / per_unit, (top + 1) / per_unit), base)
-    return (2 + 2 * s) * rounding.power_of_two(k - 1)
+    _, per_unit, log_base = BASES[base]
+
+    @with_derivative(lambda x, y: y * log_base)
+    def power(x: jax.Array) -> jax.Array:
+        top = np.finfo(x.dtype).maxexp
+        if base == "2":  # its smallest value is exact
+            s, k = _exp_parts(jnp.clip(x, -1.1 * top, 1.1 * top), base)
+            return rounding.scale(1 + s, k)
+        s, k = _exp_parts(jnp.clip(x, (2 - top) / per_unit, (top + 1) / per_unit), base)
+        return (2 + 2 * s) * rounding.power_of_two(k - 1)
+
+    return power
 
 
-@with_derivative(lambda x, y: y)
-def exp(x: jax.Array) -> jax.Array:
-    """Return e^x."""
-    return _exponential(x, "e")
-
-
-@with_derivative(lambda x, y: y * float(LOG_2))
-def exp2(x: jax.Array) -> jax.Array:
-    """Return 2^x."""
-    return _exponential(x, "2")
-
-
-@with_derivative(lambda x, y: y * float(LOG_10))
-def exp10(x: jax.Array) -> jax.Array:
-    """Return 10^x."""
-    return _exponential(x, "10")
+exp, exp2, exp10 = map(_exponential, BASES)
 
 
 # logarithms
@@ -191,33 +183,24 @@ def _log1p_near(f: jax.Array) -> jax.Array:
     return f - (half_square - s * (half_square + 2 * z * series(z, LOG)))
 
 
-def _logarithm(x: jax.Array, base: str) -> jax.Array:
-    m, k = rounding.mantissa_exponent(x)
-    return _joined(_log1p_near(m - 1), k, x, base)
+def _logarithm(base: str) -> Function:
+    """Return the logarithm of normal x > 0 to a base."""
+
+    @with_derivative(lambda x, y: INVERSE[base] / x)
+    def log(x: jax.Array) -> jax.Array:
+        m, k = rounding.mantissa_exponent(x)
+        return _joined(_log1p_near(m - 1), k, x, base)
+
+    return log
 
 
 def _joined(near: jax.Array, k: jax.Array, x: jax.Array, base: str = "e") -> jax.Array:
     high, low = BASES[base][0][x.dtype.itemsize]
-    near = near if base == "e" else near * float(1 / {"2": LOG_2, "10": LOG_10}[base])
+    near = near if base == "e" else near * INVERSE[base]
     return jnp.where(jnp.isinf(x), x, k * high + (near + k * low))
 
 
-@with_derivative(lambda x, y: 1 / x)
-def log(x: jax.Array) -> jax.Array:
-    """Return log x for normal x > 0."""
-    return _logarithm(x, "e")
-
-
-@with_derivative(lambda x, y: float(1 / LOG_2) / x)
-def log2(x: jax.Array) -> jax.Array:
-    """Return the logarithm to base 2 of normal x > 0."""
-    return _logarithm(x, "2")
-
-
-@with_derivative(lambda x, y: float(1 / LOG_10) / x)
-def log10(x: jax.Array) -> jax.Array:
-    """Return the logarithm to base 10 of normal x > 0."""
-    return _logarithm(x, "10")
+log, log2, log10 = map(_logarithm, BASES)
 
 
 def _log1p(a: jax.Array, shift: jax.Array) -> jax.Array:

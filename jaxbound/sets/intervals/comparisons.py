@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from functools import reduce
+from functools import WRAPPER_ASSIGNMENTS, reduce, wraps
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +28,7 @@ def _relation(holds: Callable[..., jax.Array]) -> Callable[[Operand, Operand], j
     for a bound that is NaN.
     """
 
+    @wraps(holds, WRAPPER_ASSIGNMENTS[:4])
     def relation(x: Operand, y: Operand) -> jax.Array:
         x, y = pair(x, y)
         known = reduce(operator.and_, [end == end for end in (x.lo, x.hi, y.lo, y.hi)])
@@ -35,13 +36,7 @@ def _relation(holds: Callable[..., jax.Array]) -> Callable[[Operand, Operand], j
             _ordered(x), _ordered(y), x.is_empty, y.is_empty, rounding.order(jnp.full((), jnp.inf, x.dtype))
         )
 
-    for name in (
-        "__module__",
-        "__name__",
-        "__qualname__",
-        "__doc__",
-    ):  # not the signature: what is lifted takes two Intervals
-        setattr(relation, name, getattr(holds, name))
+    del relation.__wrapped__  # and its signature: what is lifted takes two Intervals
     return relation
 
 

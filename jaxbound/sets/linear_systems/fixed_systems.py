@@ -12,7 +12,6 @@ Source: Neumaier 1999, theorem 2.1 (Hansen-Bliek-Rohn).
 """
 
 from dataclasses import dataclass
-from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -57,7 +56,7 @@ def _prepared(M: Interval, systems: int) -> Prepared:
     chosen = np.array([[*range(r - systems), last] for last in range(r - systems, r)])
     together = lambda a: jnp.moveaxis(a[chosen], 0, -2).reshape(chosen.shape[1], n, -1)
     lanes = jax.tree.map(together, M)
-    C = cast(jax.Array, preconditioner(lanes))
+    C = preconditioner(lanes)
     A = times(C, lanes)
     above, low, divisor = hansen_bliek_rohn(A, comparison_inverse(A))
     weight = over(Interval(above, above), Interval(low, low)[:, None]).hi

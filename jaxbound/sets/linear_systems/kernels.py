@@ -154,7 +154,8 @@ def enclosed_solutions(F: Factored, b: Interval, method: str, start: Interval) -
     if method != "hbr":
         boxes.append(_gauss(F, b))
     if method != "gauss":
-        boxes.append(_hansen_bliek_rohn(F, b))
+        above, low, divisor = hansen_bliek_rohn(F.A, F.inverse)
+        boxes.append(_hbr_box(b, _beside(above, b), low, divisor))
     box = _all_of(start, *boxes)
     return box if method in ("gauss", "hbr") else _swept(F.A, b, box)
 
@@ -182,21 +183,14 @@ def _solved(y: Interval, left: Interval, x: list[Interval], over_pivot: Interval
     return product(_unless_infinite(y), over_pivot)
 
 
-def _hansen_bliek_rohn(F: Factored, b: Interval) -> Interval:
-    """Return the enclosure (b_i + [-beta_i, beta_i]) / (A_ii + [-alpha_i, alpha_i]).
-
-    With N = <A>^-1: alpha_i = <A>_ii - 1 / N_ii and beta_i = (sum over k != i of N_ik |b_k|) / N_ii. Source:
-    Neumaier 1999, theorem 2.1.
-    """
-    above, low, divisor = hansen_bliek_rohn(F.A, F.inverse)
-    return _hbr_box(b, _beside(above, b), low, divisor)
-
-
 def hansen_bliek_rohn(
     A: Interval, inverse: tuple[jax.Array, jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array, Interval]:
-    """Return upper bounds of N, lower bounds of N_ii, and A_ii + [-alpha_i, alpha_i], see
-    `enclosed_solutions`, for N as `comparison_inverse` gives it.
+    """Return upper bounds of N, lower bounds of N_ii, and A_ii + [-alpha_i, alpha_i], for N = <A>^-1 as
+    `comparison_inverse` gives it.
+
+    The enclosure (b_i + [-beta_i, beta_i]) / (A_ii + [-alpha_i, alpha_i]) has alpha_i = <A>_ii - 1 / N_ii and
+    beta_i = (sum over k != i of N_ik |b_k|) / N_ii. Source: Neumaier 1999, theorem 2.1.
     """
     return _above(*inverse), *_divisor(A, *inverse)
 

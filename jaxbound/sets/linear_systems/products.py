@@ -18,10 +18,8 @@ from jaxbound.sets.intervals.interval import Interval, mag, mig
 Tree = TypeVar("Tree")
 
 
-def preconditioner(M: Interval, kind: str = "midpoint") -> jax.Array | None:
-    """Return C (n, r, N): near the (pseudo-)inverse of the middle of M; None for another kind."""
-    if kind != "midpoint":
-        return None
+def preconditioner(M: Interval) -> jax.Array:
+    """Return C (n, r, N): near the (pseudo-)inverse of the middle of M."""
     middle = _middle(M.lo, M.hi)
     r, n = middle.shape[:2]
     if r == n:

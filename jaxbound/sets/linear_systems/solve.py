@@ -177,8 +177,10 @@ _last = apart(lambda x: jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), x))
 
 
 def _prepared(M: Interval, precondition: str) -> tuple[jax.Array | None, Factored]:
-    C = preconditioner(M, precondition)
-    return C, factored(M if C is None else times(C, M))
+    if precondition != "midpoint":
+        return None, factored(M)
+    C = preconditioner(M)
+    return C, factored(times(C, M))
 
 
 def _enclosed_block(

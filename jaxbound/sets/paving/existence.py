@@ -61,15 +61,12 @@ def _flat(f: Callable[..., Any], args: tuple[jax.Array, ...]) -> Inclusion:
     return inclusion(lambda z: jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(f(z, *args))]))
 
 
-def continuous(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, args: tuple[jax.Array, ...]) -> jax.Array:
-    """True for each box (n, N) all over which f is proved to be defined and continuous; args (..., N)."""
-    return jax.vmap(lambda lo, hi, *a: _flat(f, a).continuous(Interval(lo, hi)), in_axes=-1)(lo, hi, *args)
-
-
 @forgets
 @kernel(static_argnums=0)
-def _image(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> tuple[Interval, jax.Array]:
-    """Return the images (m, N) of boxes (n, N), and where f is proved to be defined and continuous (N,)."""
+def imaged(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> tuple[Interval, jax.Array]:
+    """Return the images (m, N) of boxes (n, N), and all over which f is proved to be defined and continuous
+    (N,); args (..., N).
+    """
     one = lambda X, *a: (_flat(f, a)(X), _flat(f, a).continuous(X))
     return jax.vmap(one, in_axes=-1, out_axes=-1)(X, *args)
 
@@ -86,32 +83,33 @@ def _slope(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> I
 
 def search(
     f: Callable[..., Any],
-    X: Interval,
-    T: Interval,
     domain: Interval,
-    args: tuple[jax.Array, ...],
     unique: bool,
     region: bool,
+    X: Interval,
+    T: Interval,
+    args: tuple[jax.Array, ...],
 ) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes X, an Interval (n, N), with f of numbers and args (..., N).
 
     Args:
-        T: Interval (m, N), the target of each box. domain: Interval (n,), where solutions count.
+        domain: Interval (n,), where solutions count.
         unique: prove that a solution is the only one of its box too, which then is settled.
         region: any point of T is a solution's image; else T encloses one point, whichever, that has to be the
             image.
+        T: Interval (m, N), the target of each box.
 
     f and its slope are compiled once each; what depends on f only through them, for all functions of one
     shape.
     """
-    image, smooth = _image(f, X, args)
-    if T.shape != image.shape:
-        raise ValueError(f"the target has {T.shape[0]} components, f has {image.shape[0]}")
+    whole, smooth = imaged(f, X, args)
+    if T.shape != whole.shape:
+        raise ValueError(f"the target has {T.shape[0]} components, f has {whole.shape[0]}")
     centre = _middle(X)
-    value, _ = _image(f, _point(centre), args)
+    value, _ = imaged(f, _point(centre), args)
     slope = _slope(f, X, args)
-    out, rest, x, P = _narrow(domain, X, T, image, smooth, centre, value, slope)
-    reached, defined = _image(f, _point(x), args)
+    out, rest, x, P = _narrow(domain, X, T, whole, smooth, centre, value, slope)
+    reached, defined = imaged(f, _point(x), args)
     miss, r, Z, wide = _around(unique, region, X, T, slope, x, P, reached, rest)
     near = _slope(f, wide, args)
     return _conclude(region, domain, T, out, rest, slope, x, P, reached, defined, miss, r, Z, near)

@@ -27,7 +27,7 @@ from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.inclusion.functions import forgets, frozen
 from jaxbound.sets.intervals.interval import Interval, Operand, interval
-from jaxbound.sets.paving.existence import components, continuous, is_interval_function, search
+from jaxbound.sets.paving.existence import components, imaged, is_interval_function, search
 from jaxbound.sets.paving.frontier import BLOCK, Boxes, Cover, Kernel, Verdicts, explore, judged_in_blocks
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import reporter
@@ -207,7 +207,7 @@ def pave(
         if depth is None:
             depth = len(lo) * (int(q) - 1 if q is not None else np.finfo(lo.dtype).nmant * 2 // 5)
         inner = solutions == "all" and thick
-        one = partial(_search, f, box, solutions == "all", region)
+        one = partial(search, f, box, solutions == "all", region)
         if solutions == "none":
             one = partial(_image_meets, f)
         elif inner:
@@ -310,24 +310,11 @@ def _inner(
     f: Callable[..., Any], X: Interval, T: Interval, args: tuple[jax.Array, ...]
 ) -> Verdicts[jax.Array]:
     """Return the Verdicts on boxes (n, N): settled are those that map into the target altogether."""
-    images = _evaluate(f, X, T, args)
-    meets, inside = _touch(images, T), continuous(f, X.lo, X.hi, args)
-    for image, low, high in zip(images, T.lo, T.hi, strict=True):
-        inside &= (low <= image.lo) & (image.lo <= image.hi) & (image.hi <= high)
+    images, (_, inside) = _evaluate(f, X, T, args), imaged(f, X, args)
+    meets = _touch(images, T)
+    for own, low, high in zip(images, T.lo, T.hi, strict=True):
+        inside &= (low <= own.lo) & (own.lo <= own.hi) & (own.hi <= high)
     return Verdicts(meets & ~inside, inside, (X.lo, X.hi))
-
-
-def _search(
-    f: Callable[..., Any],
-    box: Interval,
-    unique: bool,
-    region: bool,
-    X: Interval,
-    T: Interval,
-    args: tuple[Any, ...],
-) -> Verdicts[jax.Array]:
-    """Return the Verdicts on boxes (n, N) by `existence.search`."""
-    return search(f, X, T, box, args, unique, region)
 
 
 def _touch(images: Sequence[Interval], T: Interval) -> jax.Array:

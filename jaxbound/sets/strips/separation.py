@@ -40,6 +40,8 @@ from jaxbound.sets.strips.exchange_step import WRITTEN_OUT, closeness, long_step
 from jaxbound.sets.strips.tableau import tableau_search
 
 Numbers: TypeAlias = jax.Array | np.ndarray
+PATIENCE = 1000
+"""Exchanges after which a search for a margin ends, found or not."""
 
 
 @jax.tree_util.register_dataclass
@@ -65,26 +67,23 @@ def frame_of(exact_frame: ExactFrame, dtype: DTypeLike) -> Frame:
     )
 
 
-def separation_margin(
-    frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, steps: int = 1000
-) -> jax.Array:
+def separation_margin(frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array) -> jax.Array:
     """Return 1 - t, unrounded and differentiable in mid, rad and known; NaN where no relation has its data,
     or an inner row has none.
 
     Args:
-        frame: from `frame_of`. mid, rad: (rows, N), NaN in mid where absent. known: (l, N). steps: at most so
-            many exchanges.
+        frame: from `frame_of`. mid, rad: (rows, N), NaN in mid where absent. known: (l, N).
     """
-    # the best h stays the best for a small change: envelope theorem
-    best = separation_best(*jax.lax.stop_gradient((frame, mid, rad, known)), steps)
-    return margin_of(best, mid, rad, known)
+    # the best combination stays the best for a small change: envelope theorem
+    best = _best(*jax.lax.stop_gradient((frame, mid, rad, known)))
+    used = lambda weight, x: jnp.sum(weight * jnp.where(weight == 0, 0, x), 0)
+    residual, width = used(best, jnp.concatenate([mid, known])), used(jnp.abs(best[: len(rad)]), rad)
+    return jnp.where(width > 0, 1 - _factor(residual, width), jnp.nan)
 
 
-def separation_best(
-    frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array, steps: int = 1000
-) -> jax.Array:
-    """Return the combinations of rows and known values (rows + l, N) of which `margin_of` is that margin, 0
-    where it is NaN.
+def _best(frame: Frame, mid: jax.Array, rad: jax.Array, known: jax.Array) -> jax.Array:
+    """Return the combinations of rows and known values (rows + l, N) that speak most against windows, 0 where
+    there is none.
     """
     c, k = frame.R.shape
     (own, radius), present, complete = _ordered(
@@ -92,21 +91,12 @@ def separation_best(
     )
     z = own[:c] - _times(_matrix(frame), jnp.concatenate([own[c:], jnp.where(jnp.isnan(known), 0, known)]))
     z, radius = jnp.where(present[:c], z, 0), jnp.where(present, radius, 1)
-    h, _, _ = exchange_search(frame.R, z, radius, present, jnp.ones_like(mid[0]), steps)
+    h, _, _ = exchange_search(frame.R, z, radius, present, jnp.ones_like(mid[0]), PATIENCE)
     through = -_times(jnp.swapaxes(_matrix(frame), 0, 1), h)
     order = jnp.concatenate([frame.outer, frame.inner])
     there = (order[None] == jnp.arange(len(mid), dtype=order.dtype)[:, None]).astype(h.dtype)
     best = jnp.concatenate([_times(there, jnp.concatenate([h, through[:k]])), through[k:]])
     return jnp.where(complete & present[:c].any(0), best, 0)
-
-
-def margin_of(best: jax.Array, mid: jax.Array, rad: jax.Array, known: jax.Array) -> jax.Array:
-    """Return 1 - |residual| / width (N,) of combinations from `separation_best`; arguments as for
-    `separation_margin`.
-    """
-    used = lambda weight, x: jnp.sum(weight * jnp.where(weight == 0, 0, x), 0)
-    residual, width = used(best, jnp.concatenate([mid, known])), used(jnp.abs(best[: len(rad)]), rad)
-    return jnp.where(width > 0, 1 - _factor(residual, width), jnp.nan)
 
 
 def _times(A: Numbers, x: jax.Array) -> jax.Array:
@@ -175,19 +165,6 @@ def separation_image(
     return Image(z, jnp.where(present, rad, 1) / one[None], magnitude, present, floor, complete)
 
 
-def separation_search(
-    frame: Frame, image: Image, one: jax.Array, steps: int
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (h (c, N), d (k, N), done (N,)): candidates for the two proofs of `separation_verdict`, nearly
-    optimal where done.
-
-    Args:
-        frame: from `frame_of`. image: from `separation_image`. one: N ones, traced. steps: at most so many
-            exchanges.
-    """
-    return exchange_search(frame.R, image.z, image.radius, image.present, one, steps)
-
-
 def separation_verdict(
     frame: Frame, image: Image, one: jax.Array, h: jax.Array, d: jax.Array, done: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
@@ -199,7 +176,7 @@ def separation_verdict(
 
     Args:
         frame: from `frame_of`. image: from `separation_image`. one: N ones, traced. h, d, done: from
-            `separation_search`; any finite h and d will do. All of them must be arrays, not expressions of
+            `exchange_search`; any finite h and d will do. All of them must be arrays, not expressions of
             the same function.
     """
     z, radius, magnitude, present, floor, complete = image
@@ -277,9 +254,9 @@ def exchange_search(
     """Return (h (c, N), d (k, N), done (N,)) with max|h| = 1: nearly optimal in (dual) and (primal) where
     done.
 
-    radius, present: (c + k, N), as of an `Image`. `/ one` in here is nothing but a sign to the compiler: it
-    does not work out a quotient again for each of its uses. Where inner rows are the more, a tableau of the
-    others takes the place of the inverse: `tableau`.
+    z, radius, present: as of an `Image`. one: N ones, traced; `/ one` in here is nothing but a sign to the
+    compiler: it does not work out a quotient again for each of its uses. steps: at most so many exchanges.
+    Where inner rows are the more, a tableau of the others takes the place of the inverse: `tableau`.
     """
     c, k = R.shape
     if k > c:

@@ -92,7 +92,7 @@ def strip_margin(strips: Strips, mid: jax.Array, rad: jax.Array, known: jax.Arra
     """
 
     def step(gauge, strip):
-        residual, width, _ = _one(strip, mid, rad, None, known, None)
+        residual, width, _ = _one(strip, mid, rad, rad, known, known)  # nobody reads a magnitude
         absent = jnp.isnan(residual)  # masked before the quotient too, which keeps NaN out of gradients
         return jnp.maximum(gauge, jnp.where(absent, -1, jnp.abs(jnp.where(absent, 0, residual)) / width))
 
@@ -160,33 +160,22 @@ def _one(strip, mid, rad, scale, known, known_scale):
         i, size = rows[a], jnp.abs(h[a])
         residual += h[a] * mid[i]
         width += size * rad[i]
-        magnitude += size * scale[i] if scale is not None else 0
+        magnitude += size * scale[i]
     if k.shape[0] > FEW:
-        driven, driven_size = _driven(k, known, known_scale)
-        return residual - driven, width, magnitude + driven_size
+        return residual - _driven(k, known), width, magnitude + _driven(jnp.abs(k), known_scale)
     for b in range(k.shape[0]):  # a missing value counts only where it is used
         residual -= jnp.where(k[b] == 0, 0, k[b] * known[b])
-        magnitude += jnp.where(k[b] == 0, 0, jnp.abs(k[b]) * known_scale[b]) if known_scale is not None else 0
+        magnitude += jnp.where(k[b] == 0, 0, jnp.abs(k[b]) * known_scale[b])
     return residual, width, magnitude
 
 
-def _driven(k, known, known_scale):
-    """Return the sum of k_b known_b and that of their magnitudes, or 0, by a loop that compiles once."""
-
-    def used(b, x):
-        return jnp.where(k[b] == 0, 0, x)
+def _driven(k, known):
+    """Return the sum of k_b known_b by a loop that compiles once."""
 
     def add(b, total):
-        return total + used(b, k[b] * known[b])
+        return total + jnp.where(k[b] == 0, 0, k[b] * known[b])
 
-    def add_size(b, total):
-        return total + used(b, jnp.abs(k[b]) * known_scale[b])
-
-    none = jnp.zeros_like(known[0])
-    driven = jax.lax.fori_loop(0, len(k), add, none)
-    if known_scale is None:
-        return driven, 0
-    return driven, jax.lax.fori_loop(0, len(k), add_size, none)
+    return jax.lax.fori_loop(0, len(k), add, jnp.zeros_like(known[0]))
 
 
 def _fold(step, carry, strips):

@@ -4,7 +4,7 @@ The set lies in a strip across every direction h, |h c| <= sum_j |h g_j|. Here t
 data, so that h does too. Source: Ploix, Adrot 2006, (15)-(17).
 
 **Hints.** A search (`gauge.gauge_search`) proposes one h and one z: `farthest`. Of one or two rows every
-strip that matters is known without a search: `strip_margins`.
+strip that matters is known without a search: `strip`.
 
 **Proof.** Whatever h is, a strict |h c| > sum_j |h g_j| puts 0 outside. Given |true row i - computed row i|
 <= E_i over the whole box, E_i including gamma M_i, M_i = |c_i| + sum_j |g_ij|, it is enough that
@@ -42,7 +42,7 @@ def farthest(c: jax.Array, G: jax.Array, error: jax.Array) -> tuple[jax.Array, j
 
     They are those of `gauge_search`; of few rows h is the best of all strips, which flat sets need.
 
-    Args: as for `strip_margins`.
+    Args: as for `refutes`.
     """
     r, q = G.shape[:2]
     size = jnp.abs(c) + jnp.sum(jnp.abs(G), 1)
@@ -59,7 +59,7 @@ def strip(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
     """Return the direction h (r, N) that comes closest to refuting, across r - 1 generators or axes; where
     all rows have too many of these, of two neighbouring rows or of one.
 
-    Args: as for `strip_margins`.
+    Args: as for `refutes`.
     """
     r, q = G.shape[:2]
     rows = next((k for k in (r, 2) if q <= GENERATORS.get(k, 0)), 1)
@@ -94,33 +94,25 @@ def _normals(G: jax.Array) -> jax.Array:
 
 
 def few_strips(r: int, q: int) -> bool:
-    """Return whether `strip_margins` is for so many rows and generators."""
+    """Return whether `strip` is the best direction for so many rows and generators.
+
+    A zonotope of two dimensions has the strips that are orthogonal to a generator, or to an axis where it is
+    flat.
+    """
     return r < 3 and q <= GENERATORS[r]
 
 
-def strip_margins(c: jax.Array, G: jax.Array, error: jax.Array) -> jax.Array:
-    """Return 1 - gauge (N,) of 0 for one or two rows: < 0 is proved outside, anything else is not refuted.
-
-    The gauge t is the factor on G at which 0 just belongs to the set, not above the true one. NaN stays NaN.
-    A zonotope of two dimensions has the strips that are orthogonal to a generator, or to an axis where it is
-    flat: their h is made of numbers of G as they are.
+def refutes(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array) -> jax.Array:
+    """Return 1 - |h c| / sum_j |h g_j| (N,): < 0 is proof that 0 is outside, for any finite h (r, N) that is
+    an array, not an expression. NaN stays NaN.
 
     Args:
         c (r, N), G (r, q, N), error (r, N): at least |true row - computed row| over [-1, 1]^q.
 
     Example:
         >>> c, G = jnp.array([[1.0], [0.5]]), jnp.array([[[0.5], [0.0]], [[0.0], [1.0]]])
-        >>> jax.jit(strip_margins)(c, G, 0 * c)
+        >>> jax.jit(refutes)(c, G, 0 * c, jnp.array([[1.0], [0.0]]))
         Array([-1...], dtype=float...)
-    """
-    return jnp.min(jax.vmap(refutes, (None, None, None, 1))(c, G, error, _normals(G)), 0)
-
-
-def refutes(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array) -> jax.Array:
-    """Return 1 - |h c| / sum_j |h g_j| (N,): < 0 is proof that 0 is outside, for any finite h (r, N) that is
-    an array, not an expression.
-
-    Args: as for `strip_margins`.
     """
     r, q = G.shape[:2]
     gamma, floor = rounding.product_error(q + 2 * r + 8, c.dtype)

@@ -27,13 +27,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.comparisons import contains as contains_number
 from jaxbound.sets.intervals.interval import Interval, interval, mid, rad
 from jaxbound.sets.zonotopes import certificate, gauges, kernels, proof
 from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope
 from jaxbound.sets.zonotopes.facets import FEW, by_facets
-from jaxbound.sets.zonotopes.questions import Question, flat, normal, numbers, traced
+from jaxbound.sets.zonotopes.questions import Question, flat, normal, numbers
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 from jaxbound.text.objects import readable
 
@@ -119,7 +120,7 @@ class Decision:
         return certificate.document(self.question, where, answer.name, one(self.direction), one(self.point))
 
     def __repr__(self) -> str:
-        if traced(self.answer):
+        if is_traced(self.answer):
             return f"Decision({self.answer})"
         if not self.answer.shape:
             return f"Decision({Answer(int(self.answer)).name}, margin={float(self.margin):.6g})"
@@ -190,7 +191,7 @@ def _contains_points(Z: AnySet, points: ArrayLike) -> Decision:
     if not isinstance(points, jax.core.Tracer):
         refuse_infinite(points=points)
     off: jax.Array | float = 0.0
-    if not traced(sets):
+    if not is_traced(sets):
         points = np.asarray(points, float)
     else:
         dtype = sets[0].dtype
@@ -351,7 +352,7 @@ def _decide(question: Question, shape: tuple[int, ...], meets: Answer, off: Arra
     beyond one rounding.
     """
     refuse_unverified()
-    (M, D), known, inside_jit = question.equations(), question.known(), traced(question)
+    (M, D), known, inside_jit = question.equations(), question.known(), is_traced(question)
     whole, xp = question.name == "contains_set", proof.library(M)
     if inside_jit:
         lower, upper, l, x = kernels.contained(M, D) if whole else kernels.bounds(M, D, off)

@@ -16,9 +16,10 @@ from jaxbound.exact import linalg
 from jaxbound.exact.circuits import circuits
 from jaxbound.exact.price import refuse_or_say
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.zonotopes import gauges, kernels
-from jaxbound.sets.zonotopes.questions import numbers, traced
+from jaxbound.sets.zonotopes.questions import numbers
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
 FEW = 500
@@ -142,8 +143,11 @@ def membership(Z: Zonotope, points: ArrayLike) -> np.ndarray | jax.Array:
     n = Z.center.shape[0]
     if points.ndim != 2 or points.shape[1] != n:
         raise ValueError(f"points must have shape (N, {n}): their shape is {points.shape}")
-    if traced((Z, points)):
-        return _traced_margins(Z, points)
+    if is_traced(Z, points):
+        ((c, G, _, _),) = numbers(Z, points=points)
+        (away,) = kernels.settled(rounding.widened(jnp.asarray(points), c.dtype))
+        lower, upper, *_ = kernels.bounds(G[None], (away - c[None])[None], 0.0)
+        return jnp.where(lower > 1, 1 - lower, jnp.maximum(1 - upper, 0))[0]
     points = np.asarray(points)
     refuse_infinite(center=Z.center, generators=Z.generators, points=points)
     with np.errstate(all="ignore"):
@@ -176,10 +180,3 @@ def _farthest(rows: Sequence[Sequence[Fraction]], d: np.ndarray) -> tuple[np.nda
         far[part] = abs(H @ turned[:, part]).max(0, initial=0)
         size[part] = (abs(H) @ abs(turned[:, part])).max(0, initial=0)
     return far, gamma * (1 + size) + floor * (1 + abs(H).max(initial=0)) * (1 + high)
-
-
-def _traced_margins(Z: Zonotope, points: ArrayLike) -> jax.Array:
-    ((c, G, _, _),) = numbers(Z, points=points)
-    (points,) = kernels.settled(rounding.widened(jnp.asarray(points), c.dtype))
-    lower, upper, *_ = kernels.bounds(G[None], (points - c[None])[None], 0.0)
-    return jnp.where(lower > 1, 1 - lower, jnp.maximum(1 - upper, 0))[0]

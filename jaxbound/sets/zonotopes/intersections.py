@@ -197,12 +197,8 @@ def _eliminate(S: AnySet, gain: jax.Array | None, keep: int) -> AnySet:
     K = _least_squares_gain(rows, A) if gain is None else gain
     K = jnp.where(jnp.isfinite(K), K, 0)
     h, rows, error = cancelled(h, rows, A, b, K)
-    return _with_slack(h, rows, error, len(c))
-
-
-def _with_slack(h: jax.Array, rows: jax.Array, error: jax.Array, n: int) -> AnySet:
-    """Return the set of points (rows x + h)[:n] whose other coordinates are 0, each off by `error`."""
-    G = jnp.concatenate([rows, jnp.diag(error)], 1)
+    # the points (rows x + h)[:n] whose other coordinates are 0, each off by `error`
+    G, n = jnp.concatenate([rows, jnp.diag(error)], 1), len(c)
     return whole(h[:n], G[:n], G[n:], -h[n:])
 
 

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.interval import Interval, Operand, interval, mid, rad
@@ -263,7 +264,7 @@ def from_interval(box: Interval) -> Zonotope:
     refuse_unverified(box)
     if len(box.shape) != 1:
         raise ValueError(f"a box is an Interval of shape (n,): the shape is {box.shape}")
-    if not any(isinstance(x, jax.core.Tracer) for x in (box.lo, box.hi)):
+    if not is_traced(box):
         empty = np.nonzero(np.asarray(box.lo) > np.asarray(box.hi))[0]
         if empty.size:
             raise ValueError(

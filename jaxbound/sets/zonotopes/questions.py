@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.kernels import settled
 from jaxbound.sets.zonotopes.proof import library
@@ -90,7 +91,7 @@ def numbers(*sets: AnySet, points: ArrayLike | None = None) -> list[Parts]:
     points, are inside jit.
     """
     found = [parts(S) for S in sets]
-    if not traced((found, points)):
+    if not is_traced(found, points):
         return [
             (np.asarray(c, float), np.asarray(G, float), np.asarray(A, float), np.asarray(b, float))
             for c, G, A, b in found
@@ -111,11 +112,6 @@ def normal(x: Any) -> jax.Array:
     bits = jax.lax.bitcast_convert_type(x, jnp.dtype(f"uint{info.bits}"))  # a comparison would read 0, too
     of_size = bits << 1
     return jnp.where((of_size != 0) & (of_size >> (info.nmant + 1) == 0), jnp.nan, x)
-
-
-def traced(tree: object) -> bool:
-    """Return whether some of the arrays are inside jit, vmap or scan."""
-    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
 
 
 def flat(sets: Parts, batch: tuple[int, ...]) -> Parts:

@@ -19,10 +19,10 @@ from jax.typing import DTypeLike
 from jaxbound.exact import linalg
 from jaxbound.random.keys import key_of
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.zonotopes import kernels
 from jaxbound.sets.zonotopes.constrained import AnySet, parts
 from jaxbound.sets.zonotopes.facets import exact_strips, exactly
-from jaxbound.sets.zonotopes.questions import traced
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
 DETERMINANTS = 20_000  # of exact numbers, above which `volume` would take more than a few seconds
@@ -47,7 +47,7 @@ def vertices(Z: AnySet) -> np.ndarray:
         >>> vertices(sets.zonotope([0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]])).tolist()
         [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]
     """
-    if traced(Z):
+    if is_traced(Z):
         raise TypeError(
             "corners need concrete numbers, since their number depends on them: ask outside jit, grad and "
             "vmap"
@@ -160,7 +160,7 @@ def volume(Z: Zonotope) -> float:
         >>> volume(sets.zonotope([1.0, 2.0], [[1.0, 3.0], [2.0, 4.0]]))
         8.0
     """
-    if traced(Z):
+    if is_traced(Z):
         raise TypeError("a volume is worked out from concrete numbers: ask outside jit, grad and vmap")
     refuse_infinite(center=Z.center, generators=Z.generators)
     n, q = Z.generators.shape
@@ -248,7 +248,7 @@ def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:
     (n,), (m,) = Z.center.shape, Y.center.shape
     if n != m:
         raise ValueError(f"the sets must have one dimension: they have {n} and {m} coordinates")
-    if traced((Z, Y)):
+    if is_traced(Z, Y):
         raise TypeError("a difference is worked out from concrete numbers: ask outside jit, grad and vmap")
     refuse_infinite(center=Y.center, generators=Y.generators)
     directions = _directions(Z)

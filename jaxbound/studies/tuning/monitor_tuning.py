@@ -11,11 +11,12 @@ from typing import TypeAlias, cast
 
 import numpy as np
 
-from jaxbound.consistency.monitorbank import NO, UNKNOWN, MonitorBank
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.detection import detect
 from jaxbound.diagnosis.monitoring import monitor, relations_of_test
 from jaxbound.models.statedtests import StatedTest
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.watched import NO, UNKNOWN
 from jaxbound.studies.tuning.parametrization import Tunable, tuned_model
 from jaxbound.studies.tuning.scaling import JoinedRecordings, both_recordings
 from jaxbound.studies.tuning.tune_result import TuneResult, caught_of

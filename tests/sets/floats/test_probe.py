@@ -482,7 +482,7 @@ def test_a_card_proves_once_its_user_examined_it_with_this_driver_and_these_vers
     changes = (
         (Examined.client, "platform_version", "of next year"),
         (Card, "device_kind", "NVIDIA H900"),
-        (kinds, "_jaxlib", lambda: "0.99"),
+        (kinds.jaxlib, "__version__", "0.99"),
         (jax, "__version__", "0.99"),
         (examined, "__version__", "99.0"),
     )

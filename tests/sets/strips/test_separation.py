@@ -19,7 +19,9 @@ image, search, verdict, margin = map(
     kernel,
     (
         separation.separation_image,
-        separation.separation_search,
+        lambda frame, seen, one, steps: separation.exchange_search(
+            frame.R, seen.z, seen.radius, seen.present, one, steps
+        ),
         separation.separation_verdict,
         separation_margin,
     ),
