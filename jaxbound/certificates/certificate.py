@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxbound.certificates.constant_window import ConstantWindow
 from jaxbound.certificates.diagnosis import Diagnosis, diagnose_window
-from jaxbound.certificates.exact_window import ExactWindow, exact_window, rounded_witness
+from jaxbound.certificates.exact_window import ExactWindow, Stretch, exact_window, rounded_witness
 from jaxbound.certificates.fault_size import Scale, SensorError
 from jaxbound.certificates.interface import (
     Index,
@@ -231,10 +231,11 @@ def _proved(factor: Fraction) -> Status:
     return Status.CONSISTENT
 
 
-@certificate_of.register
-def _(
-    relations: ParityRelation, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
+@certificate_of.register(ParityRelation)
+def of_window(
+    relations: ParityRelation | Stretch, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
 ) -> Certificate:
+    """Return the Certificate of a window whose rows are written out: see `certificate_of`."""
     window = _window(relations, u, y)
     if all(v is None for v in window.y):
         raise nothing_to_explain(at)
@@ -264,7 +265,7 @@ def _(
     return certify(relations.relations, u, y, status=status, at=at)
 
 
-def _window(relations: ParityRelation, u: np.ndarray, y: np.ndarray) -> ExactWindow:
+def _window(relations: ParityRelation | Stretch, u: np.ndarray, y: np.ndarray) -> ExactWindow:
     """Return the window of samples, with one gain an output where tolerances keep their value."""
     window = exact_window(relations, u, y)
     if not window.constant:

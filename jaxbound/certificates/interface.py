@@ -246,15 +246,12 @@ def explain(result: Judgement, at: Index) -> WindowCertificate:
     status = Status(int(result.status[at]))
     if status == Status.MISSING:
         raise nothing_to_explain(at)
-    return certify(*evidence(result.relations, result, at, status), status=status, at=at)
+    return explained(result.relations, result, at, status)
 
 
 @singledispatch
-def evidence(
-    relations: Relations, result: Judgement, at: Index, status: Status
-) -> tuple[Any, np.ndarray, np.ndarray]:
-    """Return (relations, u, y): the window whose certificate explains the verdict of a Result at an
-    index, chosen by its relations.
+def explained(relations: Relations, result: Judgement, at: Index, status: Status) -> WindowCertificate:
+    """Return the certificate that explains the verdict of a Result at an index, chosen by its relations.
 
     Raises:
         NotImplementedError: no window proves it.
@@ -263,4 +260,4 @@ def evidence(
     samples = slice(end - relations.horizon, end + 1)
     u = np.asarray(result.u)[tuple(recording)][samples]
     y = np.asarray(result.y)[tuple(recording)][samples]
-    return relations, u, y
+    return certify(relations, u, y, status=status, at=at)

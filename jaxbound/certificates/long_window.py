@@ -15,7 +15,7 @@ With unknown inputs also h_j D_v + (q after j) F = 0: the multipliers of the out
 by follow from the others, see `models.unknown_directions`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -23,7 +23,7 @@ from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxbound.certificates.certificate import Certificate
+from jaxbound.certificates.certificate import Certificate, of_window
 from jaxbound.certificates.exact_window import (
     Ends,
     ExactWindow,
@@ -45,18 +45,19 @@ T = TypeVar("T")
 ZERO = Fraction(0)
 DIGITS = 30
 """Bits of a multiplier, beside the largest."""
+SHORT = 8
+"""Steps of the longest stretch whose rows are written out, if its first state has no bounds."""
 
 
 def stretch(
-    model: LinearSystem, horizon: int, first: Sequence[Sequence[float | Fraction]] | None = None
+    model: LinearSystem, horizon: int, first: Iterable[Iterable[float | Fraction]] | None = None
 ) -> Stretch:
     """Return the Stretch of a model. first: (n, 2) floats or Fractions, bounds of the state of its first
     sample, or None.
     """
-    plain = model
-    if model.averages:
+    plain, ends = model, None
+    if model.averages and (horizon > SHORT or first is not None):  # a LongWindow has no rows for them
         plain = model.replace(averages=())
-    ends = None
     if first is not None:
         ends = tuple((Fraction(lo), Fraction(hi)) for lo, hi in first)
     return Stretch(plain, horizon, model_bounds(plain), ends)
@@ -129,7 +130,9 @@ class LongWindow(ExactWindow):
         """Return about the multipliers of the outputs that are violated most; exact ones that leave nothing
         of a free first state.
         """
-        _, floats = _program(self)
+        t, floats = program(self)
+        if t <= 1:
+            return (ZERO,) * len(self.y)
         largest = max(np.abs(floats).max(initial=0), 1e-300)
         h: Vector = tuple(Fraction(round(float(x) / largest * 2**DIGITS), 2**DIGITS) for x in floats)
         _, H, needed = self._way
@@ -210,18 +213,7 @@ def _in_order(rows: Sequence[Vector]) -> Vector:
     return tuple(x for row in reversed(rows) for x in row)
 
 
-def exceeds(about: Stretch, u: np.ndarray, y: np.ndarray) -> float:
-    """Return about the factor on all bounds at which samples u (s+1, m), y (s+1, p) can just be explained: >
-    1 where they contradict.
-    """
-    return _program(_long_window(about, u, y))[0]
-
-
-def _long_window(about: Stretch, u: np.ndarray, y: np.ndarray) -> LongWindow:
-    return window_of(LongWindow, about, u, y, about.first)
-
-
-def _program(window: LongWindow) -> tuple[float, np.ndarray]:
+def program(window: LongWindow) -> tuple[float, np.ndarray]:
     """Return (factor, multipliers of the outputs ((s+1) p,)) in floats, from a linear program in all states,
     unknown inputs, disturbances and the factor:
 
@@ -292,8 +284,10 @@ class LongCertificate(Certificate):
 
 
 @certificate_of.register
-def _(relations: Stretch, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index) -> LongCertificate:
-    window = _long_window(relations, u, y)
+def _(relations: Stretch, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index) -> Certificate:
+    if relations.horizon <= SHORT and relations.first is None:
+        return of_window(relations, u, y, status, at)
+    window = window_of(LongWindow, relations, u, y, relations.first)
     rows = window.multipliers()
     h = (*rows, *window.backward(rows).disturbances)
     k, residual, width = window.relation(h)

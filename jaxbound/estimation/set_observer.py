@@ -19,7 +19,7 @@ import jax
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.certificates.interface import evidence
+from jaxbound.certificates.interface import WindowCertificate, explained
 from jaxbound.consistency.interface import Budget, Judged, Observer
 from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.estimation import zonotope_steps as steps
@@ -430,9 +430,8 @@ def _interval(ends: np.ndarray, width: int) -> Interval:
     return Interval(-ends[..., :width], ends[..., width:])
 
 
-@evidence.register(SetObserver)
+@explained.register(SetObserver)
 def _(
     observer: SetObserver[Any], result: ObservedResult, at: tuple[int, ...], status: Status
-) -> tuple[Any, np.ndarray, np.ndarray]:
-    """Return the shortest window that proves a FAULT, see `short_proof`."""
+) -> WindowCertificate:
     return short_proof(observer.model, observer.first_box, result, at, status)
