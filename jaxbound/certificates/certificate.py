@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.certificates.constant_window import ConstantWindow
 from jaxbound.certificates.diagnosis import Diagnosis, diagnose_window
 from jaxbound.certificates.exact_window import ExactWindow, Stretch, exact_window, rounded_witness
 from jaxbound.certificates.fault_size import Scale, SensorError
@@ -236,7 +235,7 @@ def of_window(
     relations: ParityRelation | Stretch, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
 ) -> Certificate:
     """Return the Certificate of a window whose rows are written out: see `certificate_of`."""
-    window = _window(relations, u, y)
+    window = exact_window(relations, u, y)
     if all(v is None for v in window.y):
         raise nothing_to_explain(at)
     best = window.solve()
@@ -263,11 +262,3 @@ def _(
     relations: Redundancy, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
 ) -> WindowCertificate:
     return certify(relations.relations, u, y, status=status, at=at)
-
-
-def _window(relations: ParityRelation | Stretch, u: np.ndarray, y: np.ndarray) -> ExactWindow:
-    """Return the window of samples, with one gain an output where tolerances keep their value."""
-    window = exact_window(relations, u, y)
-    if not window.constant:
-        return window
-    return ConstantWindow(window.model, window.horizon, window.claim, window.whole, window.lags)

@@ -8,6 +8,18 @@ keeping them.
 The sensors' intervals are those of `models.sensor`, here as lo, hi: a reading y = (1 + theta) t + delta with
 |theta| <= sigma, |delta| <= rho says t in [-f(rho - y), f(rho + y)], f(v) = v / (1 - sigma) for v > 0, else v
 / (1 + sigma).
+
+Where tolerances keep one value, the gains g_i = 1 / (1 + theta_i) of outputs that have one are unknowns
+behind z, and
+
+    g_i (d_j - rho_j) <= (E z + K U)_j <= g_i (d_j + rho_j),   1 / (1 + sigma_i) <= g_i <= 1 / (1 - sigma_i)
+    j: samples of output i
+
+is linear in (z, g). If nothing keeps all of it, one combination h of the rows, with h E = 0, shows that for
+all gains at once: the sum over i of g_i (h d -+ |h| rho)_i, whose ends lie at those of g, does not hold h K U
+(Farkas' lemma, the sums over z and over a reading's two sides carried out).
+
+Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,7 +28,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from itertools import chain
-from typing import ClassVar, NamedTuple, Self, TypeAlias, TypeVar
+from typing import NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -26,7 +38,7 @@ from jaxbound.certificates.checker.words import Document
 from jaxbound.certificates.plain import exact_floats, plain_factors, plain_model, plain_samples
 from jaxbound.consistency.interface import Bounds
 from jaxbound.exact import linalg
-from jaxbound.exact.chebyshev import chebyshev, likely_point
+from jaxbound.exact.chebyshev import Optimum, chebyshev, likely_point
 from jaxbound.exact.linalg import Row, Rows, Vector, Whole, dot
 from jaxbound.models import window
 from jaxbound.models.rows import WindowRows
@@ -105,7 +117,6 @@ class ExactWindow:
     Fields: model, horizon; claim: all that a certificate of it is about, the samples and bounds
     (`checker.claim`); whole ((s+1)p,): all samples, also those that nobody looks at, None where missing;
     lags: of the relations; own: (E, K) of its rows, where a parameter is another, None: those of the model.
-    unweighed: why no fault of it is weighed; "": they are.
     """
 
     model: LinearSystem
@@ -114,7 +125,13 @@ class ExactWindow:
     whole: Samples
     lags: tuple[int, ...] | None = None
     own: tuple[Rows, Rows] | None = None
-    unweighed: ClassVar[str] = ""
+
+    @property
+    def unweighed(self) -> str:
+        """Why no fault of it is weighed; "": they are."""
+        if not self.constant:
+            return ""
+        return "named faults are not weighed beside constant_tolerance: give the tolerance as noise"
 
     def with_limits(self, limits: Iterable[Ends | None]) -> Self:
         """Return the window with other limits of its rows: what is supposed, bounds do not know."""
@@ -180,14 +197,23 @@ class ExactWindow:
         return ends
 
     def solve(self) -> Explanation:
-        """Return the Explanation of this window."""
-        numbers, signs, rows, middles, radii = zip(*self.bounds(), strict=True)
+        """Return the Explanation of this window; among gains its factor is > 1 where no unknowns keep all
+        rows, its size that of no bound.
+        """
+        best, h = self._nearest(self.bounds())
+        if self.gained and not any(h):  # explained: the relation that is shown is the tightest of gains of 1
+            _, h = self._nearest(self._bounds_of_rows())
+        shown = readable_relation(h)
+        return Explanation(best.t, shown, *self.relation(shown), best.z)
+
+    def _nearest(self, bounds: Iterable[Bound]) -> tuple[Optimum, Vector]:
+        """Return (the optimum of bounds, its multipliers of the rows)."""
+        numbers, signs, rows, middles, radii = zip(*bounds, strict=True)
         best = chebyshev(rows, middles, radii)
         h = [ZERO] * len(self.limits)
         for i, sign, x in zip(numbers, signs, best.h, strict=True):
-            h[i] += sign * x
-        shown = readable_relation(h)
-        return Explanation(best.t, shown, *self.relation(shown), best.z)
+            h[i] += sign * x  # both sides of a reading together: Farkas' lemma, see the module
+        return best, tuple(h)
 
     def is_explained(self) -> bool:
         """Return whether unknowns explain the window: those that floats propose, or the exact optimum."""
@@ -197,8 +223,39 @@ class ExactWindow:
             return True
         return chebyshev(rows, middles, radii, enough=ONE).t <= 1
 
+    @cached_property
+    def gained(self) -> list[int]:
+        """The outputs whose gains are unknowns; the others are 1."""
+        if not self.constant:
+            return []
+        return [i for i, sigma in enumerate(self.tolerance) if sigma]
+
     def bounds(self) -> Iterator[Bound]:
-        """Yield the bounds of the unknowns by each row that has its samples."""
+        """Yield the bounds of the unknowns, of gains too, by each row that has its samples."""
+        if not self.gained:
+            yield from self._bounds_of_rows()
+            return
+        p, none = self.model.p, (ZERO,) * len(self.gained)
+        for bound in self._bounds_of_rows():
+            if bound.number >= len(self.y):
+                yield bound._replace(row=(*bound.row, *none))
+                continue
+            i, (lo, hi) = bound.number % p, self.known_limits(bound.number)
+            # 0 <= E z + K U - g lo and 0 <= g hi - E z - K U: each is at most 2 reach
+            reach = bound.radius * self.gain_ends(i)[1]
+            for sign, value in ((1, -lo), (-1, hi)):
+                middle = reach - sign * self.drive[bound.number]
+                if i not in self.gained:
+                    middle -= value
+                row = (*linalg.scale(bound.row, sign), *(value * (i == other) for other in self.gained))
+                yield Bound(bound.number, sign, row, middle, reach)
+        nothing = (ZERO,) * len(self.unknown_columns()[0])
+        for i, own in zip(self.gained, linalg.identity(len(self.gained)), strict=True):
+            lo, hi = self.gain_ends(i)
+            yield Bound(0, 0, (*nothing, *own), (lo + hi) / 2, (hi - lo) / 2)
+
+    def _bounds_of_rows(self) -> Iterator[Bound]:
+        """Yield |middle - row z| <= radius of each row that has its samples, at gains of 1."""
         for number, (row, ends) in enumerate(zip(self.unknown_columns(), self.limits, strict=True)):
             if ends is not None:
                 lo, hi = ends
@@ -224,7 +281,7 @@ class ExactWindow:
     @property
     def constant(self) -> bool:
         """Whether a tolerance keeps one value over the window: then samples together say more than these
-        limits (`ConstantWindow`).
+        limits, see the module.
         """
         return "constant" in self.claim
 
@@ -282,8 +339,8 @@ class ExactWindow:
         return self.action(h), (lo + hi) / 2 - dot(h, self.drive), (hi - lo) / 2
 
     def rows_at(self, z: Sequence[Fraction]) -> Vector:
-        """Return the true (Y, w) = E z + K U, in deviations, at unknowns z = (x, w, v, missing inputs)."""
-        moved = linalg.multiply(self.unknown_columns(), z)
+        """Return the true (Y, w) = E z + K U, in deviations, at unknowns z = (x, w, v, missing inputs, g)."""
+        moved = linalg.multiply(self.unknown_columns(), z[: len(z) - len(self.gained)])
         return linalg.add_multiple(moved, 1, self.drive)
 
     def of_first(self, h: Sequence[Fraction]) -> Vector:
@@ -291,17 +348,24 @@ class ExactWindow:
         return ()
 
     def gains(self, z: Sequence[Fraction]) -> Vector:
-        """Return the gains, the same in all samples of an output, that unknowns z end with: none here."""
-        return ()
-
-    def limits_at(self, z: Sequence[Fraction]) -> list[Ends | None]:
-        """Return the limits of each row where unknowns are z: the same for all of them here."""
-        return self.limits
+        """Return the gain of every output at unknowns z; () where none is unknown."""
+        if not self.gained:
+            return ()
+        known = dict(zip(self.gained, z[len(z) - len(self.gained) :], strict=True))
+        return tuple(known.get(i, ONE) for i in range(self.model.p))
 
     def explained_by(self, z: Sequence[Fraction]) -> bool:
-        """Return True if unknowns z keep every row within its limits."""
-        for ends, v in zip(self.limits_at(z), self.rows_at(z), strict=True):
-            if ends is not None and not ends[0] <= v <= ends[1]:
+        """Return True if unknowns z keep every row, and gain, within its limits."""
+        gains = self.gains(z)
+        for i, g in enumerate(gains):
+            lo, hi = self.gain_ends(i)
+            if not lo <= g <= hi:
+                return False
+        for number, (ends, v) in enumerate(zip(self.limits, self.rows_at(z), strict=True)):
+            g = ONE
+            if gains and number < len(self.y):
+                g = gains[number % self.model.p]
+            if ends is not None and not g * ends[0] <= v <= g * ends[1]:
                 return False
         return True
 

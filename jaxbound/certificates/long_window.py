@@ -19,7 +19,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import ClassVar, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -78,10 +78,13 @@ class Left(NamedTuple):
 class LongWindow(ExactWindow):
     """An ExactWindow that is never written out as one matrix."""
 
-    unweighed: ClassVar[str] = (
-        "named faults are weighed on windows, and an observer's verdict rests on all samples since it began: "
-        "detect with a horizon or lags for a diagnosis"
-    )
+    @property
+    def unweighed(self) -> str:
+        """Why no fault of it is weighed."""
+        return (
+            "named faults are weighed on windows, and an observer's verdict rests on all samples since it "
+            "began: detect with a horizon or lags for a diagnosis"
+        )
 
     def of_first(self, h: Sequence[Fraction]) -> Vector:
         """Return the multipliers x of the first state where it has bounds."""

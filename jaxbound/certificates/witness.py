@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from decimal import Decimal, localcontext
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from jaxbound.certificates.checker.claim import checksum, statement
 from jaxbound.certificates.exact_window import ExactWindow
@@ -32,37 +32,46 @@ class Witnessed:
     test: str
 
     @cached_property
-    def _witness(self) -> "_Behaviour":
+    def _witness(self) -> dict[str, Vector]:
         if self.z is None:
-            return _Behaviour(None, None, None, None, None)
+            return {}
         return _behaviour(self.window, self.z)
+
+    def _rows(self, name: str, width: int) -> Matrix | None:
+        """Return a part of the witness as rows, None where there is no witness."""
+        if self.z is None:
+            return None
+        return rows_of(self._witness[name], width)
 
     @property
     def state(self) -> Vector | None:
         """The first state of the witness, or None."""
-        return self._witness.state
+        return self._witness.get("state")
 
     @property
     def outputs(self) -> Matrix | None:
         """The true outputs of the witness, a tuple of s + 1 rows, or None."""
-        return self._witness.outputs
+        return self._rows("outputs", self.window.model.p)
 
     @property
     def disturbances(self) -> Matrix | None:
         """The disturbances of the witness, a tuple of s rows, or None."""
-        return self._witness.disturbances
+        rows = self._rows("disturbances", self.window.model.g)
+        if rows == ():
+            return ((),) * self.window.horizon
+        return rows
 
     @property
     def unknown_inputs(self) -> Matrix | None:
         """The unknown inputs of the witness, a tuple of s rows (s + 1 where they act on the outputs at once),
         or None.
         """
-        return self._witness.unknown_inputs
+        return self._rows("unknown_inputs", self.window.model.d)
 
     @property
     def inputs(self) -> Matrix | None:
         """The inputs of the witness as recorded, missing ones filled in, a tuple of rows, or None."""
-        return self._witness.inputs
+        return self._rows("inputs", self.window.model.m)
 
     def _document(
         self, verdict: Status, proof: Numbers, times: Sequence[str] | None, sample: Sample
@@ -92,13 +101,13 @@ class Witnessed:
         gains = w.gains(z)
         if gains:
             numbers["gains"] = gains
-        numbers["state"] = of.state
+        numbers["state"] = of["state"]
         lowest = [lo for lo, _ in w.claim["disturbance"]]
-        numbers["disturbances"] = every_sample(w.horizon, _flat(of.disturbances), lowest)
+        numbers["disturbances"] = every_sample(w.horizon, of["disturbances"], lowest)
         nothing = [Fraction(0)] * model.d
-        numbers["unknown_inputs"] = every_sample(w.horizon, _flat(of.unknown_inputs), nothing)
-        numbers["inputs"] = every_sample(w.horizon, _flat(of.inputs), model.offset["u"])
-        numbers["outputs"] = of.outputs
+        numbers["unknown_inputs"] = every_sample(w.horizon, of["unknown_inputs"], nothing)
+        numbers["inputs"] = every_sample(w.horizon, of["inputs"], model.offset["u"])
+        numbers["outputs"] = rows_of(of["outputs"], model.p)
         return numbers
 
 
@@ -114,39 +123,28 @@ def every_sample(horizon: int, values: Sequence[T], last: Sequence[T]) -> tuple[
     return rows
 
 
-class _Behaviour(NamedTuple):
-    """A behaviour of a window, each field as that of `Witnessed`; all None where none is known."""
-
-    state: Vector | None
-    disturbances: Matrix | None
-    unknown_inputs: Matrix | None
-    inputs: Matrix | None
-    outputs: Matrix | None
-
-
-def _behaviour(w: ExactWindow, z: Vector) -> _Behaviour:
-    """Return the behaviour at unknowns of a window."""
-    model, s, missing = w.model, w.horizon, w.missing_inputs
-    n, g = model.n, model.g * s
+def _behaviour(w: ExactWindow, z: Vector) -> dict[str, Vector]:
+    """Return the behaviour at unknowns of a window, by the names of `Witnessed`, flat."""
+    model, missing = w.model, w.missing_inputs
+    n, g = model.n, model.g * w.horizon
     outputs = []
     for i, true in enumerate(w.rows_at(z)[: len(w.y)]):
         outputs.append(true + model.offset["y"][i % model.p])
     z = z[: len(w.unknown_columns()[0])]
-    state, disturbances, rest = z[:n], z[n : n + g], z[n + g :]
-    free = len(rest) - len(missing)
-    unknown = dict(zip(missing, rest[free:], strict=True))
+    free = len(z) - len(missing)
+    unknown = dict(zip(missing, z[free:], strict=True))
     filled = []
     for j, v in enumerate(w.u):
         if v is None:
             v = unknown.get(j, Fraction(0)) + model.offset["u"][j % model.m]
         filled.append(v)
-    return _Behaviour(
-        state,
-        rows_of(disturbances, model.g) or ((),) * s,
-        rows_of(rest[:free], model.d),
-        rows_of(filled, model.m),
-        rows_of(outputs, model.p),
-    )
+    return {
+        "state": z[:n],
+        "disturbances": z[n : n + g],
+        "unknown_inputs": z[n + g : free],
+        "inputs": tuple(filled),
+        "outputs": tuple(outputs),
+    }
 
 
 def rows_of(values: Sequence[T], width: int) -> tuple[tuple[T, ...], ...]:
@@ -154,10 +152,6 @@ def rows_of(values: Sequence[T], width: int) -> tuple[tuple[T, ...], ...]:
     if not width:
         return ()
     return tuple(tuple(values[j : j + width]) for j in range(0, len(values), width))
-
-
-def _flat(rows: Matrix | None) -> Vector:
-    return tuple(x for row in rows or () for x in row)
 
 
 def _all_numbers(tree: object) -> Iterator[Fraction]:
