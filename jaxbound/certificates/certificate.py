@@ -144,6 +144,7 @@ class Certificate(Witnessed, WindowCertificate):
             return ()
         shares = []
         for error in self.sensor_errors:
+            # None: no error of this sensor alone would do
             if error.size:
                 name = self.window.model.outputs[error.output]
                 shares.append((error.size / self._widest(error.output), name))
@@ -195,6 +196,7 @@ class Certificate(Witnessed, WindowCertificate):
 
     def _error_dict(self, error: SensorError) -> Numbers:
         """Return the numbers of a sensor's error, its relation in the window with that error."""
+        # the relation of a smallest error has factor 1 in the window with that error only
         window = error.window or self.window
         witness = None
         if error.z is not None:
@@ -212,6 +214,7 @@ class Certificate(Witnessed, WindowCertificate):
         rows, model = window.rows, window.model
         k, residual, width = window.relation(h)
         numbers: Numbers = {}
+        # multipliers of sums stand apart: the checker writes the sums out, to see that no unknown is left
         if rows.of_sums:
             numbers["a"] = h[rows.single :]
         if window.first is not None:
@@ -241,7 +244,7 @@ def of_window(
     best = window.solve()
     if not any(best.h):
         raise nothing_to_explain(at)
-    proved = _proved(best.factor)
+    proved = _proved(best.t)
     if status not in (None, Status.UNDECIDED, proved):
         raise NotImplementedError(
             f"the verdict of window {at[-1]} rests on more than its samples and bounds: certificates of such "
@@ -252,9 +255,9 @@ def of_window(
     z = None
     if proved == Status.CONSISTENT:
         z = rounded_witness(window, best.z)
-    text = relation_text(window.model, window.horizon, best.h, best.k)
-    numbers = best.h, best.k, best.residual, best.width, abs(best.residual) / best.width
-    return Certificate(status, at, text, *numbers, window, z)
+    k, residual, width = window.relation(best.h)
+    text = relation_text(window.model, window.horizon, best.h, k)
+    return Certificate(status, at, text, best.h, k, residual, width, abs(residual) / width, window, z)
 
 
 @certificate_of.register

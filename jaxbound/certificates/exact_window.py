@@ -92,24 +92,6 @@ class Bound(NamedTuple):
     radius: Fraction
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """The nearest that a window comes to its bounds.
-
-    Fields: factor, on all bounds, at which it just becomes consistent; h, k: the tightest relation h (Y, w) =
-    k U of an exact plant (zeros where there is none); residual, width: its value at the middles and the
-    largest that the bounds allow, factor = |residual| / width;
-    z: unknowns that keep all rows within factor times their bounds.
-    """
-
-    factor: Fraction
-    h: Vector
-    k: Vector
-    residual: Fraction
-    width: Fraction
-    z: Vector
-
-
 @dataclass(frozen=True, eq=False)
 class ExactWindow:
     """The samples and bounds of one window, every number a Fraction.
@@ -135,6 +117,8 @@ class ExactWindow:
 
     def with_limits(self, limits: Iterable[Ends | None]) -> Self:
         """Return the window with other limits of its rows: what is supposed, bounds do not know."""
+        # limits are no field: those of the claim are worked out at their first use, and these take their
+        # place
         other = copy(self)
         vars(other)["limits"] = list(limits)
         return other
@@ -196,29 +180,31 @@ class ExactWindow:
         assert ends is not None, f"row {number} lacks a sample"
         return ends
 
-    def solve(self) -> Explanation:
-        """Return the Explanation of this window; among gains its factor is > 1 where no unknowns keep all
-        rows, its size that of no bound.
+    def solve(self) -> Optimum:
+        """Return the nearest that a window comes to its bounds: t, the factor on all of them at which it just
+        becomes consistent; h of the tightest relation h (Y, w) = k U of an exact plant, zeros where there is
+        none; z: unknowns that keep all rows within t times their bounds. Among gains t is > 1 where no
+        unknowns keep all rows, its size that of no bound.
         """
-        best, h = self._nearest(self.bounds())
-        if self.gained and not any(h):  # explained: the relation that is shown is the tightest of gains of 1
-            _, h = self._nearest(self._bounds_of_rows())
-        shown = readable_relation(h)
-        return Explanation(best.t, shown, *self.relation(shown), best.z)
+        best = self._nearest(self.bounds())
+        if self.gained and not any(best.h):  # explained: of gains of 1 the tightest relation is shown
+            best = replace(best, h=self._nearest(self._bounds_of_rows()).h)
+        return best
 
-    def _nearest(self, bounds: Iterable[Bound]) -> tuple[Optimum, Vector]:
-        """Return (the optimum of bounds, its multipliers of the rows)."""
+    def _nearest(self, bounds: Iterable[Bound]) -> Optimum:
+        """Return the optimum of bounds, with multipliers of the rows."""
         numbers, signs, rows, middles, radii = zip(*bounds, strict=True)
         best = chebyshev(rows, middles, radii)
         h = [ZERO] * len(self.limits)
         for i, sign, x in zip(numbers, signs, best.h, strict=True):
             h[i] += sign * x  # both sides of a reading together: Farkas' lemma, see the module
-        return best, tuple(h)
+        return replace(best, h=readable_relation(h))
 
     def is_explained(self) -> bool:
         """Return whether unknowns explain the window: those that floats propose, or the exact optimum."""
         _, _, rows, middles, radii = zip(*self.bounds(), strict=True)
         proposed = likely_point(rows, middles, radii)
+        # floats propose, fractions check: far cheaper than the exact optimum, which nobody reads here
         if proposed is not None and self.explained_by(rounded_witness(self, proposed)):
             return True
         return chebyshev(rows, middles, radii, enough=ONE).t <= 1
@@ -289,6 +275,7 @@ class ExactWindow:
     def missing_inputs(self) -> tuple[int, ...]:
         """The numbers of the inputs that are missing and matter."""
         missing = [j for j, v in enumerate(self.u) if v is None]
+        # an input that no row depends on would be a column of zeros
         K = [linalg.integers(row)[0] for row in self.forms[1]]
         return tuple(j for j in missing if any(row[j] for row in K))
 
@@ -314,6 +301,7 @@ class ExactWindow:
 
     def reach(self, h: Sequence[Fraction]) -> Ends:
         """Return (lo, hi) of h (Y, w) within the limits, under any gains."""
+        # rows of one gain are summed first: one theta cannot be at both of its ends at once
         sums: dict[int, Ends] = {}  # of the rows of each gain: linear in it, so extreme at its ends
         for number, x in enumerate(h):
             if x:
@@ -335,8 +323,10 @@ class ExactWindow:
 
         h (Y, w) - k U is residual -+ width within the limits.
         """
-        lo, hi = self.reach(h)
-        return self.action(h), (lo + hi) / 2 - dot(h, self.drive), (hi - lo) / 2
+        k, (lo, hi) = self.action(h), self.reach(h)
+        for x, ends in zip(self.of_first(h), self.first or (), strict=True):
+            lo, hi = lo + min(x * end for end in ends), hi + max(x * end for end in ends)
+        return k, (lo + hi) / 2 - dot(k, known_inputs(self.model, self.u)), (hi - lo) / 2
 
     def rows_at(self, z: Sequence[Fraction]) -> Vector:
         """Return the true (Y, w) = E z + K U, in deviations, at unknowns z = (x, w, v, missing inputs, g)."""
@@ -412,6 +402,7 @@ def shorter(values: Sequence[Fraction]) -> Iterator[Vector]:
 
 def rounded_up(x: Fraction, digits: int = 4) -> Fraction:
     """Return a number of few digits that is not below x > 0."""
+    # the power of ten of x, from its digits alone: x may be beyond floats
     unit = Fraction(10) ** (len(str(x.numerator)) - len(str(x.denominator)) - digits)
     return -(-x // unit) * unit
 

@@ -65,6 +65,7 @@ class WindowCertificate:
 
     def of_test(self, name: str) -> Self:
         """Return the same certificate, of a test of a monitor: what it says is of the model of this test."""
+        # certificates are frozen values: another name is another certificate
         own = copy(self)
         vars(own)["test"] = name
         return own

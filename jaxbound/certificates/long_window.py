@@ -18,7 +18,7 @@ by follow from the others, see `models.unknown_directions`.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -33,7 +33,7 @@ from jaxbound.certificates.exact_window import (
 )
 from jaxbound.certificates.interface import Index, certificate_of
 from jaxbound.exact import linalg
-from jaxbound.exact.linalg import Matrix, Vector, add_multiple, dot, multiply, transpose
+from jaxbound.exact.linalg import Matrix, Vector, add_multiple, multiply, transpose
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
 from jaxbound.relations.bounds import model_bounds
@@ -99,35 +99,11 @@ class LongWindow(ExactWindow):
 
     def backward(self, h: Sequence[Fraction]) -> Left:
         """Return the multipliers that those of the outputs, h ((s+1) p,), leave."""
-        m, inputs = self.model, len(self.u) // max(self.model.m, 1)
-        A, B, C, D, G, F, D_v = (_columns(m, name) for name in ("A", "B", "C", "D", "G", "F", "D_v"))
-        q: Vector = (ZERO,) * m.n
-        of_disturbances, of_inputs, of_unknown = [], [], []
-        for j in range(self.horizon, -1, -1):
-            row = self.outputs_at(h, j)
-            if j < self.horizon:
-                of_disturbances.append(linalg.scale(multiply(G, q), -1))  # g_j = -(q after j) G
-            if j < inputs:
-                of_inputs.append(_sum(multiply(D, row), multiply(B, q)))  # k_j = h_j D + (q after j) B
-            of_unknown.append(_sum(multiply(D_v, row), multiply(F, q)))
-            q = _sum(multiply(C, row), multiply(A, q))  # q = h_j C + q A
-        return Left(q, _in_order(of_disturbances), _in_order(of_inputs), _in_order(of_unknown))
+        return _backward(self, tuple(h))
 
-    def relation(self, h: Sequence[Fraction]) -> tuple[Vector, Fraction, Fraction]:
-        """Return (k, residual, width) of a relation h of outputs and disturbances, with what it leaves of a
-        first state that has bounds.
-        """
-        left = self.backward(h[: len(self.y)])
-        if self.first is None and any(left.first):
-            raise ValueError("the relation leaves the first state over")
-        if any(left.unknown):
-            raise ValueError("the relation leaves an unknown input over")
-        lo, hi = self.reach(h)
-        if self.first is not None:  # 0 = q + x
-            for x, ends in zip(left.first, self.first, strict=True):
-                lo, hi = lo + min(-x * end for end in ends), hi + max(-x * end for end in ends)
-        residual = (lo + hi) / 2 - dot(left.inputs, known_inputs(self.model, self.u))
-        return left.inputs, residual, (hi - lo) / 2
+    def action(self, h: Sequence[Fraction]) -> Vector:
+        """Return k, what a relation h does with the inputs."""
+        return self.backward(h[: len(self.y)]).inputs
 
     def multipliers(self) -> Vector:
         """Return about the multipliers of the outputs that are violated most; exact ones that leave nothing
@@ -136,9 +112,11 @@ class LongWindow(ExactWindow):
         t, floats = program(self)
         if t <= 1:
             return (ZERO,) * len(self.y)
+        # a common factor changes no relation: digits are kept beside the largest multiplier
         largest = max(np.abs(floats).max(initial=0), 1e-300)
         h: Vector = tuple(Fraction(round(float(x) / largest * 2**DIGITS), 2**DIGITS) for x in floats)
         _, H, needed = self._way
+        # without them some unknown input would be left over, whatever the other multipliers are
         if needed and None in H[1:]:  # outputs are missing that take unknown inputs out
             return (ZERO,) * len(h)
         h, left = self._without_unknown(h)
@@ -200,6 +178,23 @@ class LongWindow(ExactWindow):
         return _in_order(changed), q
 
 
+@lru_cache(maxsize=1)  # all numbers of a relation are asked one after the other
+def _backward(window: LongWindow, h: Vector) -> Left:
+    m, inputs = window.model, len(window.u) // max(window.model.m, 1)
+    A, B, C, D, G, F, D_v = (_columns(m, name) for name in ("A", "B", "C", "D", "G", "F", "D_v"))
+    q: Vector = (ZERO,) * m.n
+    of_disturbances, of_inputs, of_unknown = [], [], []
+    for j in range(window.horizon, -1, -1):
+        row = window.outputs_at(h, j)
+        if j < window.horizon:
+            of_disturbances.append(linalg.scale(multiply(G, q), -1))  # g_j = -(q after j) G
+        if j < inputs:
+            of_inputs.append(_sum(multiply(D, row), multiply(B, q)))  # k_j = h_j D + (q after j) B
+        of_unknown.append(_sum(multiply(D_v, row), multiply(F, q)))
+        q = _sum(multiply(C, row), multiply(A, q))  # q = h_j C + q A
+    return Left(q, _in_order(of_disturbances), _in_order(of_inputs), _in_order(of_unknown))
+
+
 def _columns(model: LinearSystem, name: str) -> Matrix:
     """Return the columns of a matrix; none without states, whose matrices have lost their width."""
     if not model.n:
@@ -255,6 +250,7 @@ def program(window: LongWindow) -> tuple[float, np.ndarray]:
         method="highs",
     )
     h = np.zeros((s + 1) * m.p)
+    # the program failed: no multipliers, so nothing is claimed
     if best.status != 0:
         return 0.0, h
     upper, lower = np.split(best.ineqlin.marginals, 2)
@@ -292,9 +288,12 @@ def _(relations: Stretch, u: np.ndarray, y: np.ndarray, status: Status | None, a
         return of_window(relations, u, y, status, at)
     window = window_of(LongWindow, relations, u, y, relations.first)
     rows = window.multipliers()
-    h = (*rows, *window.backward(rows).disturbances)
+    left = window.backward(rows)
+    h, over = (*rows, *left.disturbances), any(left.unknown)
+    if relations.first is None:
+        over |= any(left.first)
     k, residual, width = window.relation(h)
-    if not any(h) or not width or abs(residual) <= width:
+    if over or not any(h) or not width or abs(residual) <= width:
         raise NotImplementedError(
             f"no relation of these {relations.horizon + 1} samples is found that proves the FAULT at "
             f"{at[-1]} alone"

@@ -1,6 +1,6 @@
 """The parts that all certificates share: a behaviour that explains a window, and exact numbers as text."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from decimal import Decimal, localcontext
 from fractions import Fraction
 from functools import cached_property
@@ -84,7 +84,9 @@ class Witnessed:
         if self.z is not None:
             numbers["witness"] = self._witness_dict(self.z)
         numbers |= proof
-        numbers["sum"] = checksum(_all_numbers(numbers))
+        every: list[Fraction] = []
+        written = texts(numbers, every)
+        written |= texts({"sum": checksum(every)}, [])
         if sample is None:
             sample = list(self.at)
         names = plain_names(self.window.model, sample, times)
@@ -92,7 +94,7 @@ class Witnessed:
         document: dict[str, Any] = {"certificate": verdict.name, "statement": sentence, "names": names}
         if self.test:
             document["test"] = self.test
-        return document | {"numbers": texts(numbers)}
+        return document | {"numbers": written}
 
     def _witness_dict(self, z: Vector) -> Numbers:
         """Return the numbers of a behaviour, a row for each sample."""
@@ -118,6 +120,7 @@ def every_sample(horizon: int, values: Sequence[T], last: Sequence[T]) -> tuple[
     if not last:
         return ((),) * (horizon + 1)
     rows = rows_of(values, len(last))
+    # the last one acts on no sample of the window: any value within its bounds will do
     if len(rows) == horizon:
         return (*rows, tuple(last))
     return rows
@@ -154,23 +157,14 @@ def rows_of(values: Sequence[T], width: int) -> tuple[tuple[T, ...], ...]:
     return tuple(tuple(values[j : j + width]) for j in range(0, len(values), width))
 
 
-def _all_numbers(tree: object) -> Iterator[Fraction]:
-    if isinstance(tree, Fraction):
-        yield tree
-    elif isinstance(tree, dict):
-        yield from _all_numbers(list(tree.values()))
-    elif isinstance(tree, (list, tuple)):
-        for branch in tree:
-            yield from _all_numbers(branch)
-
-
-def texts(tree: Any) -> Any:  # of a tree, whose branches have many types
-    """Return a tree of exact numbers with each as text."""
+def texts(tree: Any, every: list[Fraction]) -> Any:  # of a tree, whose branches have many types
+    """Return a tree of exact numbers with each as text; append them to `every`."""
     if isinstance(tree, dict):
-        return {name: texts(branch) for name, branch in tree.items()}
+        return {name: texts(branch, every) for name, branch in tree.items()}
     if isinstance(tree, (list, tuple)):
-        return [texts(branch) for branch in tree]
+        return [texts(branch, every) for branch in tree]
     if isinstance(tree, Fraction):
+        every.append(tree)
         return _text(tree)
     return tree
 
@@ -180,6 +174,7 @@ def _text(x: Fraction) -> str:
     "p/q".
     """
     with localcontext() as context:
+        # what people and recorders write is shorter; longer decimals are shown as quotients
         context.prec = 60
         short = Decimal(x.numerator) / Decimal(x.denominator)
     if Fraction(short) == x:
