@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.certificates.constant_window import ConstantWindow
 from jaxbound.certificates.diagnosis import Diagnosis, diagnose_window
-from jaxbound.certificates.exact_window import ExactWindow, exact_window, rounded_witness
+from jaxbound.certificates.exact_window import ExactWindow, Stretch, exact_window, rounded_witness
 from jaxbound.certificates.fault_size import Scale, SensorError
 from jaxbound.certificates.interface import (
     Index,
@@ -145,6 +144,7 @@ class Certificate(Witnessed, WindowCertificate):
             return ()
         shares = []
         for error in self.sensor_errors:
+            # None: no error of this sensor alone would do
             if error.size:
                 name = self.window.model.outputs[error.output]
                 shares.append((error.size / self._widest(error.output), name))
@@ -196,6 +196,7 @@ class Certificate(Witnessed, WindowCertificate):
 
     def _error_dict(self, error: SensorError) -> Numbers:
         """Return the numbers of a sensor's error, its relation in the window with that error."""
+        # the relation of a smallest error has factor 1 in the window with that error only
         window = error.window or self.window
         witness = None
         if error.z is not None:
@@ -213,6 +214,7 @@ class Certificate(Witnessed, WindowCertificate):
         rows, model = window.rows, window.model
         k, residual, width = window.relation(h)
         numbers: Numbers = {}
+        # multipliers of sums stand apart: the checker writes the sums out, to see that no unknown is left
         if rows.of_sums:
             numbers["a"] = h[rows.single :]
         if window.first is not None:
@@ -231,17 +233,18 @@ def _verdict_of(factor: Fraction) -> Status:
     return Status.CONSISTENT
 
 
-@certificate_of.register
-def _(
-    relations: ParityRelation, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
+@certificate_of.register(ParityRelation)
+def of_window(
+    relations: ParityRelation | Stretch, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
 ) -> Certificate:
-    window = _window(relations, u, y)
+    """Return the Certificate of a window whose rows are written out: see `certificate_of`."""
+    window = exact_window(relations, u, y)
     if all(v is None for v in window.y):
         raise nothing_to_explain(at)
     best = window.solve()
     if not any(best.h):
         raise nothing_to_explain(at)
-    proved = _verdict_of(best.factor)
+    proved = _verdict_of(best.t)
     if status not in (None, Status.UNDECIDED, proved):
         raise NotImplementedError(
             f"the verdict of window {at[-1]} rests on more than its samples and bounds: certificates of such "
@@ -252,9 +255,9 @@ def _(
     z = None
     if proved == Status.CONSISTENT:
         z = rounded_witness(window, best.z)
-    text = relation_text(window.model, window.horizon, best.h, best.k)
-    numbers = best.h, best.k, best.residual, best.width, abs(best.residual) / best.width
-    return Certificate(status, at, text, *numbers, window, z)
+    k, residual, width = window.relation(best.h)
+    text = relation_text(window.model, window.horizon, best.h, k)
+    return Certificate(status, at, text, best.h, k, residual, width, abs(residual) / width, window, z)
 
 
 @certificate_of.register
@@ -262,11 +265,3 @@ def _(
     relations: Redundancy, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index
 ) -> WindowCertificate:
     return certify(relations.relations, u, y, status=status, at=at)
-
-
-def _window(relations: ParityRelation, u: np.ndarray, y: np.ndarray) -> ExactWindow:
-    """Return the window of samples, with one gain an output where tolerances keep their value."""
-    window = exact_window(relations, u, y)
-    if not window.constant:
-        return window
-    return ConstantWindow(window.model, window.horizon, window.claim, window.whole, window.lags)

@@ -174,6 +174,7 @@ class Diagnosis:
             if name not in theirs:
                 continue
             one, two = weighed.size or Fraction(0), theirs[name].size or Fraction(0)
+            # no one size is of both signs, though each window alone is explained
             if one * two < 0:
                 excluded[name] = FaultSize(weighed.fault, None)
             else:
@@ -183,6 +184,7 @@ class Diagnosis:
             known = [each.shares[name] for each in (self, other) if name in each.shares]
             if known:
                 shares[name] = max(known)
+        # what is left open in one window is neither excluded nor explained by all
         kept = tuple(w for name, w in excluded.items() if name not in unweighed)
         explains = [weighed for weighed in explains if weighed.fault.name not in unweighed]
         windows = tuple(sorted({*self.windows, *other.windows}))

@@ -8,6 +8,18 @@ keeping them.
 The sensors' intervals are those of `models.sensor`, here as lo, hi: a reading y = (1 + theta) t + delta with
 |theta| <= sigma, |delta| <= rho says t in [-f(rho - y), f(rho + y)], f(v) = v / (1 - sigma) for v > 0, else v
 / (1 + sigma).
+
+Where tolerances keep one value, the gains g_i = 1 / (1 + theta_i) of outputs that have one are unknowns
+behind z, and
+
+    g_i (d_j - rho_j) <= (E z + K U)_j <= g_i (d_j + rho_j),   1 / (1 + sigma_i) <= g_i <= 1 / (1 - sigma_i)
+    j: samples of output i
+
+is linear in (z, g). If nothing keeps all of it, one combination h of the rows, with h E = 0, shows that for
+all gains at once: the sum over i of g_i (h d -+ |h| rho)_i, whose ends lie at those of g, does not hold h K U
+(Farkas' lemma, the sums over z and over a reading's two sides carried out).
+
+Source: Adrot, Maquin, Ragot 2000, (7)-(9), with theta constant as in Adrot 1999.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,7 +28,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from itertools import chain
-from typing import ClassVar, NamedTuple, Self, TypeAlias, TypeVar
+from typing import NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -26,7 +38,7 @@ from jaxbound.certificates.checker.words import Document
 from jaxbound.certificates.plain import exact_floats, plain_factors, plain_model, plain_samples
 from jaxbound.consistency.interface import Bounds
 from jaxbound.exact import linalg
-from jaxbound.exact.chebyshev import chebyshev, likely_point
+from jaxbound.exact.chebyshev import Optimum, chebyshev, likely_point
 from jaxbound.exact.linalg import Row, Rows, Vector, Whole, dot
 from jaxbound.models import window
 from jaxbound.models.rows import WindowRows
@@ -80,24 +92,6 @@ class Bound(NamedTuple):
     radius: Fraction
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """The nearest that a window comes to its bounds.
-
-    Fields: factor, on all bounds, at which it just becomes consistent; h, k: the tightest relation h (Y, w) =
-    k U of an exact plant (zeros where there is none); residual, width: its value at the middles and the
-    largest that the bounds allow, factor = |residual| / width;
-    z: unknowns that keep all rows within factor times their bounds.
-    """
-
-    factor: Fraction
-    h: Vector
-    k: Vector
-    residual: Fraction
-    width: Fraction
-    z: Vector
-
-
 @dataclass(frozen=True, eq=False)
 class ExactWindow:
     """The samples and bounds of one window, every number a Fraction.
@@ -105,7 +99,6 @@ class ExactWindow:
     Fields: model, horizon; claim: all that a certificate of it is about, the samples and bounds
     (`checker.claim`); whole ((s+1)p,): all samples, also those that nobody looks at, None where missing;
     lags: of the relations; own: (E, K) of its rows, where a parameter is another, None: those of the model.
-    unweighed: why no fault of it is weighed; "": they are.
     """
 
     model: LinearSystem
@@ -114,10 +107,18 @@ class ExactWindow:
     whole: Samples
     lags: tuple[int, ...] | None = None
     own: tuple[Rows, Rows] | None = None
-    unweighed: ClassVar[str] = ""
+
+    @property
+    def unweighed(self) -> str:
+        """Why no fault of it is weighed; "": they are."""
+        if not self.constant:
+            return ""
+        return "named faults are not weighed beside constant_tolerance: give the tolerance as noise"
 
     def with_limits(self, limits: Iterable[Ends | None]) -> Self:
         """Return the window with other limits of its rows: what is supposed, bounds do not know."""
+        # limits are no field: those of the claim are worked out at their first use, and these take their
+        # place
         other = copy(self)
         vars(other)["limits"] = list(limits)
         return other
@@ -179,26 +180,68 @@ class ExactWindow:
         assert ends is not None, f"row {number} lacks a sample"
         return ends
 
-    def solve(self) -> Explanation:
-        """Return the Explanation of this window."""
-        numbers, signs, rows, middles, radii = zip(*self.bounds(), strict=True)
+    def solve(self) -> Optimum:
+        """Return the nearest that a window comes to its bounds: t, the factor on all of them at which it just
+        becomes consistent; h of the tightest relation h (Y, w) = k U of an exact plant, zeros where there is
+        none; z: unknowns that keep all rows within t times their bounds. Among gains t is > 1 where no
+        unknowns keep all rows, its size that of no bound.
+        """
+        best = self._nearest(self.bounds())
+        if self.gained and not any(best.h):  # explained: of gains of 1 the tightest relation is shown
+            best = replace(best, h=self._nearest(self._bounds_of_rows()).h)
+        return best
+
+    def _nearest(self, bounds: Iterable[Bound]) -> Optimum:
+        """Return the optimum of bounds, with multipliers of the rows."""
+        numbers, signs, rows, middles, radii = zip(*bounds, strict=True)
         best = chebyshev(rows, middles, radii)
         h = [ZERO] * len(self.limits)
         for i, sign, x in zip(numbers, signs, best.h, strict=True):
-            h[i] += sign * x
-        shown = readable_relation(h)
-        return Explanation(best.t, shown, *self.relation(shown), best.z)
+            h[i] += sign * x  # both sides of a reading together: Farkas' lemma, see the module
+        return replace(best, h=readable_relation(h))
 
     def is_explained(self) -> bool:
         """Return whether unknowns explain the window: those that floats propose, or the exact optimum."""
         _, _, rows, middles, radii = zip(*self.bounds(), strict=True)
         proposed = likely_point(rows, middles, radii)
+        # floats propose, fractions check: far cheaper than the exact optimum, which nobody reads here
         if proposed is not None and self.explained_by(rounded_witness(self, proposed)):
             return True
         return chebyshev(rows, middles, radii, enough=ONE).t <= 1
 
+    @cached_property
+    def gained(self) -> list[int]:
+        """The outputs whose gains are unknowns; the others are 1."""
+        if not self.constant:
+            return []
+        return [i for i, sigma in enumerate(self.tolerance) if sigma]
+
     def bounds(self) -> Iterator[Bound]:
-        """Yield the bounds of the unknowns by each row that has its samples."""
+        """Yield the bounds of the unknowns, of gains too, by each row that has its samples."""
+        if not self.gained:
+            yield from self._bounds_of_rows()
+            return
+        p, none = self.model.p, (ZERO,) * len(self.gained)
+        for bound in self._bounds_of_rows():
+            if bound.number >= len(self.y):
+                yield bound._replace(row=(*bound.row, *none))
+                continue
+            i, (lo, hi) = bound.number % p, self.known_limits(bound.number)
+            # 0 <= E z + K U - g lo and 0 <= g hi - E z - K U: each is at most 2 reach
+            reach = bound.radius * self.gain_ends(i)[1]
+            for sign, value in ((1, -lo), (-1, hi)):
+                middle = reach - sign * self.drive[bound.number]
+                if i not in self.gained:
+                    middle -= value
+                row = (*linalg.scale(bound.row, sign), *(value * (i == other) for other in self.gained))
+                yield Bound(bound.number, sign, row, middle, reach)
+        nothing = (ZERO,) * len(self.unknown_columns()[0])
+        for i, own in zip(self.gained, linalg.identity(len(self.gained)), strict=True):
+            lo, hi = self.gain_ends(i)
+            yield Bound(0, 0, (*nothing, *own), (lo + hi) / 2, (hi - lo) / 2)
+
+    def _bounds_of_rows(self) -> Iterator[Bound]:
+        """Yield |middle - row z| <= radius of each row that has its samples, at gains of 1."""
         for number, (row, ends) in enumerate(zip(self.unknown_columns(), self.limits, strict=True)):
             if ends is not None:
                 lo, hi = ends
@@ -224,7 +267,7 @@ class ExactWindow:
     @property
     def constant(self) -> bool:
         """Whether a tolerance keeps one value over the window: then samples together say more than these
-        limits (`ConstantWindow`).
+        limits, see the module.
         """
         return "constant" in self.claim
 
@@ -232,6 +275,7 @@ class ExactWindow:
     def missing_inputs(self) -> tuple[int, ...]:
         """The numbers of the inputs that are missing and matter."""
         missing = [j for j, v in enumerate(self.u) if v is None]
+        # an input that no row depends on would be a column of zeros
         K = [linalg.integers(row)[0] for row in self.forms[1]]
         return tuple(j for j in missing if any(row[j] for row in K))
 
@@ -257,6 +301,7 @@ class ExactWindow:
 
     def reach(self, h: Sequence[Fraction]) -> Ends:
         """Return (lo, hi) of h (Y, w) within the limits, under any gains."""
+        # rows of one gain are summed first: one theta cannot be at both of its ends at once
         sums: dict[int, Ends] = {}  # of the rows of each gain: linear in it, so extreme at its ends
         for number, x in enumerate(h):
             if x:
@@ -278,12 +323,14 @@ class ExactWindow:
 
         h (Y, w) - k U is residual -+ width within the limits.
         """
-        lo, hi = self.reach(h)
-        return self.action(h), (lo + hi) / 2 - dot(h, self.drive), (hi - lo) / 2
+        k, (lo, hi) = self.action(h), self.reach(h)
+        for x, ends in zip(self.of_first(h), self.first or (), strict=True):
+            lo, hi = lo + min(x * end for end in ends), hi + max(x * end for end in ends)
+        return k, (lo + hi) / 2 - dot(k, known_inputs(self.model, self.u)), (hi - lo) / 2
 
     def rows_at(self, z: Sequence[Fraction]) -> Vector:
-        """Return the true (Y, w) = E z + K U, in deviations, at unknowns z = (x, w, v, missing inputs)."""
-        moved = linalg.multiply(self.unknown_columns(), z)
+        """Return the true (Y, w) = E z + K U, in deviations, at unknowns z = (x, w, v, missing inputs, g)."""
+        moved = linalg.multiply(self.unknown_columns(), z[: len(z) - len(self.gained)])
         return linalg.add_multiple(moved, 1, self.drive)
 
     def of_first(self, h: Sequence[Fraction]) -> Vector:
@@ -291,17 +338,24 @@ class ExactWindow:
         return ()
 
     def gains(self, z: Sequence[Fraction]) -> Vector:
-        """Return the gains, the same in all samples of an output, that unknowns z end with: none here."""
-        return ()
-
-    def limits_at(self, z: Sequence[Fraction]) -> list[Ends | None]:
-        """Return the limits of each row where unknowns are z: the same for all of them here."""
-        return self.limits
+        """Return the gain of every output at unknowns z; () where none is unknown."""
+        if not self.gained:
+            return ()
+        known = dict(zip(self.gained, z[len(z) - len(self.gained) :], strict=True))
+        return tuple(known.get(i, ONE) for i in range(self.model.p))
 
     def explained_by(self, z: Sequence[Fraction]) -> bool:
-        """Return True if unknowns z keep every row within its limits."""
-        for ends, v in zip(self.limits_at(z), self.rows_at(z), strict=True):
-            if ends is not None and not ends[0] <= v <= ends[1]:
+        """Return True if unknowns z keep every row, and gain, within its limits."""
+        gains = self.gains(z)
+        for i, g in enumerate(gains):
+            lo, hi = self.gain_ends(i)
+            if not lo <= g <= hi:
+                return False
+        for number, (ends, v) in enumerate(zip(self.limits, self.rows_at(z), strict=True)):
+            g = ONE
+            if gains and number < len(self.y):
+                g = gains[number % self.model.p]
+            if ends is not None and not g * ends[0] <= v <= g * ends[1]:
                 return False
         return True
 
@@ -348,6 +402,7 @@ def shorter(values: Sequence[Fraction]) -> Iterator[Vector]:
 
 def rounded_up(x: Fraction, digits: int = 4) -> Fraction:
     """Return a number of few digits that is not below x > 0."""
+    # the power of ten of x, from its digits alone: x may be beyond floats
     unit = Fraction(10) ** (len(str(x.numerator)) - len(str(x.denominator)) - digits)
     return -(-x // unit) * unit
 

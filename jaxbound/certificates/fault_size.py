@@ -109,6 +109,7 @@ class Path(NamedTuple):
         """Return the unknown at a size."""
         if not self.side:
             return size
+        # 1 / (1 + size) has no value there: x is farther than any float on that side
         if size == -1:
             return self.side * ENDLESS
         return 1 / (1 + size)
@@ -155,6 +156,7 @@ class End(NamedTuple):
         """Return the first t' >= t at which the end is not below 0; None: there is none."""
         if self.at(t) >= 0:
             return t
+        # the end is a parabola from one kink to the next: each is searched for its root alone
         kinks = {-side.a / (self.forward * side.b) for _, side in self.bent if side.b}
         for stop in [*sorted(kink for kink in kinks if kink > t), None]:
             # a parabola between two kinks: through three of its points
@@ -262,6 +264,7 @@ class Scale:
         smallest = self._smallest(fault, paths)
         if smallest.size is not None:
             return replace(smallest, largest=self._largest(paths, smallest.size))
+        # what is stated of the fault may be all that rules it out: the same fault without that
         bare = copy(fault)
         vars(bare).update(sign=None, least=None, most=None, between=None)
         if bare != fault:
@@ -273,6 +276,7 @@ class Scale:
         found, most = None, ENDLESS
         for since, own in paths.items():
             for path in own:
+                # farther than the smallest that was found nothing is searched
                 nearer = path.between(ZERO, most)
                 if nearer is None:
                     continue
@@ -341,6 +345,7 @@ class Scale:
             forward = -1
         t, end = forward * t, forward * end
         if backward:
+            # the far end may have no bound: begun at FAR times the near one
             forward, t, end = -forward, -min(end, max(t, ONE) * FAR), -t
         passed: Vector | None = None
         ends: list[End] = []
@@ -357,10 +362,11 @@ class Scale:
                     self.cuts.insert(0, self.cuts.pop(number // 2))  # likely to end the next path, too
                     return Reached(forward * t, None, passed)
                 t = min(farther, end)  # a root is rounded on
+            # a relation was passed: perhaps an earlier one is violated now, which costs no program
             if t > here:
                 continue
             best = with_fault(self.window, path.push, forward * t).solve()
-            if best.factor <= 1:
+            if best.t <= 1:
                 return Reached(forward * t, best.z, passed)
             self._add(best.h)
 
@@ -377,6 +383,7 @@ def _root_above(a: Fraction, b: Fraction, c: Fraction, low: Fraction) -> Fractio
     if square < 0:
         return None
     # sqrt(p / q) = sqrt(p q) / q, of which isqrt gives the whole part
+    # digits behind the point of the root: twice as many as are kept
     fine = 10 ** (2 * DIGITS)
     whole = isqrt(square.numerator * square.denominator * fine * fine)
     roots = []

@@ -65,6 +65,7 @@ class WindowCertificate:
 
     def of_test(self, name: str) -> Self:
         """Return the same certificate, of a test of a monitor: what it says is of the model of this test."""
+        # certificates are frozen values: another name is another certificate
         own = copy(self)
         vars(own)["test"] = name
         return own
@@ -246,15 +247,14 @@ def explain(result: Judgement, at: Index) -> WindowCertificate:
     status = Status(int(result.status[at]))
     if status == Status.MISSING:
         raise nothing_to_explain(at)
-    return certify(*explained_window(result.relations, result, at, status), status=status, at=at)
+    return window_certificate(result.relations, result, at, status)
 
 
 @singledispatch
-def explained_window(
+def window_certificate(
     relations: Relations, result: Judgement, at: Index, status: Status
-) -> tuple[Any, np.ndarray, np.ndarray]:
-    """Return (relations, u, y): the window whose certificate explains the verdict of a Result at an
-    index, chosen by its relations.
+) -> WindowCertificate:
+    """Return the certificate that explains the verdict of a Result at an index, chosen by its relations.
 
     Raises:
         NotImplementedError: no window proves it.
@@ -263,4 +263,4 @@ def explained_window(
     samples = slice(end - relations.horizon, end + 1)
     u = np.asarray(result.u)[tuple(recording)][samples]
     y = np.asarray(result.y)[tuple(recording)][samples]
-    return relations, u, y
+    return certify(relations, u, y, status=status, at=at)

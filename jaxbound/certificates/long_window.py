@@ -15,15 +15,15 @@ With unknown inputs also h_j D_v + (q after j) F = 0: the multipliers of the out
 by follow from the others, see `models.unknown_directions`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
-from typing import ClassVar, NamedTuple, TypeVar
+from functools import cached_property, lru_cache
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxbound.certificates.certificate import Certificate
+from jaxbound.certificates.certificate import Certificate, of_window
 from jaxbound.certificates.exact_window import (
     Ends,
     ExactWindow,
@@ -33,7 +33,7 @@ from jaxbound.certificates.exact_window import (
 )
 from jaxbound.certificates.interface import Index, certificate_of
 from jaxbound.exact import linalg
-from jaxbound.exact.linalg import Matrix, Vector, add_multiple, dot, multiply, transpose
+from jaxbound.exact.linalg import Matrix, Vector, add_multiple, multiply, transpose
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
 from jaxbound.models.window import float_matrices
@@ -46,18 +46,19 @@ T = TypeVar("T")
 ZERO = Fraction(0)
 DIGITS = 30
 """Bits of a multiplier, beside the largest."""
+SHORT = 8
+"""Steps of the longest stretch whose rows are written out, if its first state has no bounds."""
 
 
 def stretch(
-    model: LinearSystem, horizon: int, first: Sequence[Sequence[float | Fraction]] | None = None
+    model: LinearSystem, horizon: int, first: Iterable[Iterable[float | Fraction]] | None = None
 ) -> Stretch:
     """Return the Stretch of a model. first: (n, 2) floats or Fractions, bounds of the state of its first
     sample, or None.
     """
-    plain = model
-    if model.averages:
+    plain, ends = model, None
+    if model.averages and (horizon > SHORT or first is not None):  # a LongWindow has no rows for them
         plain = model.replace(averages=())
-    ends = None
     if first is not None:
         ends = tuple((Fraction(lo), Fraction(hi)) for lo, hi in first)
     return Stretch(plain, horizon, model_bounds(plain), ends)
@@ -78,10 +79,13 @@ class Left(NamedTuple):
 class LongWindow(ExactWindow):
     """An ExactWindow that is never written out as one matrix."""
 
-    unweighed: ClassVar[str] = (
-        "named faults are weighed on windows, and an observer's verdict rests on all samples since it began: "
-        "detect with a horizon or lags for a diagnosis"
-    )
+    @property
+    def unweighed(self) -> str:
+        """Why no fault of it is weighed."""
+        return (
+            "named faults are weighed on windows, and an observer's verdict rests on all samples since it "
+            "began: detect with a horizon or lags for a diagnosis"
+        )
 
     def of_first(self, h: Sequence[Fraction]) -> Vector:
         """Return the multipliers x of the first state where it has bounds."""
@@ -96,44 +100,24 @@ class LongWindow(ExactWindow):
 
     def backward(self, h: Sequence[Fraction]) -> Left:
         """Return the multipliers that those of the outputs, h ((s+1) p,), leave."""
-        m, inputs = self.model, len(self.u) // max(self.model.m, 1)
-        A, B, C, D, G, F, D_v = (_columns(m, name) for name in ("A", "B", "C", "D", "G", "F", "D_v"))
-        q: Vector = (ZERO,) * m.n
-        of_disturbances, of_inputs, of_unknown = [], [], []
-        for j in range(self.horizon, -1, -1):
-            row = self.outputs_at(h, j)
-            if j < self.horizon:
-                of_disturbances.append(linalg.scale(multiply(G, q), -1))  # g_j = -(q after j) G
-            if j < inputs:
-                of_inputs.append(_sum(multiply(D, row), multiply(B, q)))  # k_j = h_j D + (q after j) B
-            of_unknown.append(_sum(multiply(D_v, row), multiply(F, q)))
-            q = _sum(multiply(C, row), multiply(A, q))  # q = h_j C + q A
-        return Left(q, _in_order(of_disturbances), _in_order(of_inputs), _in_order(of_unknown))
+        return _backward(self, tuple(h))
 
-    def relation(self, h: Sequence[Fraction]) -> tuple[Vector, Fraction, Fraction]:
-        """Return (k, residual, width) of a relation h of outputs and disturbances, with what it leaves of a
-        first state that has bounds.
-        """
-        left = self.backward(h[: len(self.y)])
-        if self.first is None and any(left.first):
-            raise ValueError("the relation leaves the first state over")
-        if any(left.unknown):
-            raise ValueError("the relation leaves an unknown input over")
-        lo, hi = self.reach(h)
-        if self.first is not None:  # 0 = q + x
-            for x, ends in zip(left.first, self.first, strict=True):
-                lo, hi = lo + min(-x * end for end in ends), hi + max(-x * end for end in ends)
-        residual = (lo + hi) / 2 - dot(left.inputs, known_inputs(self.model, self.u))
-        return left.inputs, residual, (hi - lo) / 2
+    def action(self, h: Sequence[Fraction]) -> Vector:
+        """Return k, what a relation h does with the inputs."""
+        return self.backward(h[: len(self.y)]).inputs
 
     def multipliers(self) -> Vector:
         """Return about the multipliers of the outputs that are violated most; exact ones that leave nothing
         of a free first state.
         """
-        _, floats = _program(self)
+        t, floats = program(self)
+        if t <= 1:
+            return (ZERO,) * len(self.y)
+        # a common factor changes no relation: digits are kept beside the largest multiplier
         largest = max(np.abs(floats).max(initial=0), 1e-300)
         h: Vector = tuple(Fraction(round(float(x) / largest * 2**DIGITS), 2**DIGITS) for x in floats)
         _, H, needed = self._way
+        # without them some unknown input would be left over, whatever the other multipliers are
         if needed and None in H[1:]:  # outputs are missing that take unknown inputs out
             return (ZERO,) * len(h)
         h, left = self._without_unknown(h)
@@ -195,6 +179,23 @@ class LongWindow(ExactWindow):
         return _in_order(changed), q
 
 
+@lru_cache(maxsize=1)  # all numbers of a relation are asked one after the other
+def _backward(window: LongWindow, h: Vector) -> Left:
+    m, inputs = window.model, len(window.u) // max(window.model.m, 1)
+    A, B, C, D, G, F, D_v = (_columns(m, name) for name in ("A", "B", "C", "D", "G", "F", "D_v"))
+    q: Vector = (ZERO,) * m.n
+    of_disturbances, of_inputs, of_unknown = [], [], []
+    for j in range(window.horizon, -1, -1):
+        row = window.outputs_at(h, j)
+        if j < window.horizon:
+            of_disturbances.append(linalg.scale(multiply(G, q), -1))  # g_j = -(q after j) G
+        if j < inputs:
+            of_inputs.append(_sum(multiply(D, row), multiply(B, q)))  # k_j = h_j D + (q after j) B
+        of_unknown.append(_sum(multiply(D_v, row), multiply(F, q)))
+        q = _sum(multiply(C, row), multiply(A, q))  # q = h_j C + q A
+    return Left(q, _in_order(of_disturbances), _in_order(of_inputs), _in_order(of_unknown))
+
+
 def _columns(model: LinearSystem, name: str) -> Matrix:
     """Return the columns of a matrix; none without states, whose matrices have lost their width."""
     if not model.n:
@@ -211,18 +212,7 @@ def _in_order(rows: Sequence[Vector]) -> Vector:
     return tuple(x for row in reversed(rows) for x in row)
 
 
-def exceeds(about: Stretch, u: np.ndarray, y: np.ndarray) -> float:
-    """Return about the factor on all bounds at which samples u (s+1, m), y (s+1, p) can just be explained: >
-    1 where they contradict.
-    """
-    return _program(_long_window(about, u, y))[0]
-
-
-def _long_window(about: Stretch, u: np.ndarray, y: np.ndarray) -> LongWindow:
-    return window_of(LongWindow, about, u, y, about.first)
-
-
-def _program(window: LongWindow) -> tuple[float, np.ndarray]:
+def program(window: LongWindow) -> tuple[float, np.ndarray]:
     """Return (factor, multipliers of the outputs ((s+1) p,)) in floats, from a linear program in all states,
     unknown inputs, disturbances and the factor:
 
@@ -261,6 +251,7 @@ def _program(window: LongWindow) -> tuple[float, np.ndarray]:
         method="highs",
     )
     h = np.zeros((s + 1) * m.p)
+    # the program failed: no multipliers, so nothing is claimed
     if best.status != 0:
         return 0.0, h
     upper, lower = np.split(best.ineqlin.marginals, 2)
@@ -288,12 +279,17 @@ class LongCertificate(Certificate):
 
 
 @certificate_of.register
-def _(relations: Stretch, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index) -> LongCertificate:
-    window = _long_window(relations, u, y)
+def _(relations: Stretch, u: np.ndarray, y: np.ndarray, status: Status | None, at: Index) -> Certificate:
+    if relations.horizon <= SHORT and relations.first is None:
+        return of_window(relations, u, y, status, at)
+    window = window_of(LongWindow, relations, u, y, relations.first)
     rows = window.multipliers()
-    h = (*rows, *window.backward(rows).disturbances)
+    left = window.backward(rows)
+    h, over = (*rows, *left.disturbances), any(left.unknown)
+    if relations.first is None:
+        over |= any(left.first)
     k, residual, width = window.relation(h)
-    if not any(h) or not width or abs(residual) <= width:
+    if over or not any(h) or not width or abs(residual) <= width:
         raise NotImplementedError(
             f"no relation of these {relations.horizon + 1} samples is found that proves the FAULT at "
             f"{at[-1]} alone"

@@ -55,7 +55,7 @@ def found_size(window: ExactWindow, fault: NamedFault, onsets: Iterable[int] = (
         size = search.size(number)
         changed = changed_window(window, fault, size, search.onsets[onset])
         best = changed.solve()
-        if best.factor <= 1:
+        if best.t <= 1:
             z = rounded_witness(changed, best.z)
             return FaultSize(fault, size, search.onsets[onset], z=z, tried=len(search.factors))
     return FaultSize(fault, None, tried=len(search.factors))
@@ -87,6 +87,7 @@ class _Search:
         step = 2**HALVINGS
         spread = np.linspace(0, len(self.onsets) - 1, min(ONSETS, len(self.onsets))).round().astype(int)
         grid = product(spread.tolist(), range(-self.finest, self.finest + 1, step))
+        # a coarse grid first: the factor may have several valleys over onsets and sizes
         best = min(((number, onset) for onset, number in grid), key=self._rank)
         apart = max(1, len(self.onsets) // len(spread))
         while step and self.factors:
@@ -116,6 +117,7 @@ class _Search:
     def _factor(self, size: float, since: int) -> float:
         """Return the factor on all bounds at which the window is explained, about."""
         E, K = self.form(size, since)
+        # a missing input is an unknown here too, as in the exact window
         z = np.concatenate([E, K[:, list(self.window.missing_inputs)]], 1)[self.rows] / self.radii[:, None]
         off = (self.middles - (K @ self.inputs)[self.rows]) / self.radii
         found = nearest(z, off)

@@ -94,7 +94,7 @@ class ResidualCertificate(WindowCertificate):
             "statement": str(self),
             "status": self.status.name,
             "names": names,
-            "numbers": texts(numbers),
+            "numbers": texts(numbers, []),
         }
 
     def to_vipr(self) -> str:
@@ -116,6 +116,7 @@ def _(
 ) -> ResidualCertificate:
     if not (np.isfinite(u).all() and np.isfinite(y).all()):
         raise nothing_to_explain(at)
+    # more boxes than detect took: one window is asked, and waited for
     paved = search_unknowns(relations, u[None], y[None], 100 * BUDGET)
     assert paved.status is not None
     if status is None:

@@ -130,6 +130,7 @@ def _push_of_gain(name: str, window: ExactWindow, inverted: bool) -> Push:
     for j, ends in enumerate(window.limits[: len(window.y)]):
         if j % model.p != i or ends is None:
             continue
+        # an error of the gain acts on the reading, before its tolerance
         low, high = _apart(ends, sigma)  # rho - d, rho + d
         if inverted:
             low, high = -high, -low  # |x| = -x
@@ -152,6 +153,7 @@ def moves_of(fault: NamedFault, window: ExactWindow) -> list[Moves]:
         of_states, own = dict(fault.states), [fault.output == name for name in model.outputs]
         on_states = tuple(of_states.get(name, ZERO) for name in model.states)
         first, second = [Action(on_states, tuple(map(Fraction, own)), shares)], []
+    # most faults move rows in proportion: no squares to follow then
     squares: list[Vector] = [()] * (window.horizon + 1)
     if second:
         squares = _since_each(window, second)
@@ -285,6 +287,7 @@ def _shares(fault: NamedFault, window: ExactWindow) -> list[Fraction]:
 def _since_each(window: ExactWindow, does: Sequence[Action]) -> list[Vector]:
     """Return how actions move the rows of a window, for each sample at which they may begin."""
     model, s = window.model, window.horizon
+    # from the last sample back: a fault that begins earlier does all that a later one does, and more
     moved: Vector = (ZERO,) * len(window.limits)
     by_onset = [moved] * (s + 1)
     columns = [

@@ -106,14 +106,10 @@ class UncertainCertificate(Witnessed, WindowCertificate):
             return None
         by_name = {u.name: u for u in self.relations.model.uncertainties}
         values = {}
-        for variable, v in self._values().items():
+        for variable, v in zip(self.relations.variables, self.chosen, strict=True):
             parameter = by_name[variable[0]]
             values[variable] = parameter.centre + parameter.radius * v
         return values
-
-    def _values(self) -> dict[Variable, Fraction]:
-        """Return the variables of the relations at the witness."""
-        return dict(zip(self.relations.variables, self.chosen, strict=self.z is not None))
 
     @property
     def relation(self) -> str:
@@ -159,16 +155,17 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         """
         numbers: Numbers = {"relations": [], "proof": None, "parameters": None}
         if self.proof is not None:
-            numbers |= {"relations": _shown(self.relations), "proof": self.proof}
+            numbers |= {"relations": _shown(self.relations, self.window), "proof": self.proof}
         if self.z is not None:
-            chosen = self._values()
-            numbers["parameters"] = [chosen.get(v, Fraction(0)) for v in _variables(self.relations)]
+            chosen = dict(zip(_numbers(self.relations, self.window), self.chosen, strict=True))
+            every = range(len(self.window.claim["variables"]))
+            numbers["parameters"] = [chosen.get(Fraction(i), Fraction(0)) for i in every]
         return self._document(self.proves, numbers, times, sample)
 
 
-def _shown(r: UncertainRelations) -> list[Numbers]:
+def _shown(r: UncertainRelations, window: ExactWindow) -> list[Numbers]:
     """Return the polynomials of relations on the outputs, disturbances and inputs of each sample."""
-    model, readings, number = r.model, (r.horizon + 1) * r.model.p, _numbers(r)
+    model, readings, number = r.model, (r.horizon + 1) * r.model.p, _numbers(r, window)
     nothing: list[Fraction] = []
     shown = []
     for k in range(r.count):
@@ -180,21 +177,11 @@ def _shown(r: UncertainRelations) -> list[Numbers]:
     return shown
 
 
-def _numbers(relations: UncertainRelations) -> list[Fraction]:
+def _numbers(relations: UncertainRelations, window: ExactWindow) -> list[Fraction]:
     """Return the number of each variable of relations among all of the parameters."""
-    variables = _variables(relations)
-    return [Fraction(variables.index(v)) for v in relations.variables]
-
-
-def _variables(relations: UncertainRelations) -> list[Variable]:
-    """Return every variable of the parameters, those that do not matter to the relations too."""
-    variables: list[Variable] = []
-    for parameter in relations.model.uncertainties:
-        if parameter.varying:
-            variables += [(parameter.name, lag) for lag in range(relations.horizon + 1)]
-        else:
-            variables.append((parameter.name, None))
-    return variables
+    parameters = relations.model.uncertainties
+    every = [(parameters[int(number)].name, lag) for number, lag in window.claim["variables"]]
+    return [Fraction(every.index(v)) for v in relations.variables]
 
 
 @certificate_of.register
@@ -238,13 +225,14 @@ class _Proving:
 
     def __init__(self, relations: UncertainRelations, u: np.ndarray, y: np.ndarray) -> None:
         self.relations, self.window = relations, exact_window(relations, u, y)
+        # bounds in the float type of the samples, as the kernels took them
         bounds = rounding.round_up(np.asarray(relations.bounds["parameters"], np.float64), y.dtype)
         self.bounds: Vector = tuple(map(Fraction, bounds.tolist()))
         claim = self.window.claim
         for parameter, bound in zip(claim["uncertainties"], self.bounds, strict=True):
             parameter["bound"] = bound
-        self.parts: list[Parts] = checked_relations(claim, _shown(relations))
-        self.numbers, self.box = _numbers(relations), box_of(claim)
+        self.parts: list[Parts] = checked_relations(claim, _shown(relations, self.window))
+        self.numbers, self.box = _numbers(relations, self.window), box_of(claim)
         self.size: Vector = tuple(self.box[f"p{k}"][1] for k in self.numbers)
 
     def leaf(self, h: Vector, box: Mapping[str, Ends], few: bool = False) -> Tree | None:
@@ -305,6 +293,7 @@ def _proof(
         return _tree_of(p, leaves, p.box), None
     if status == Status.FAULT:
         return None, None
+    # a point at the edge of the box may explain in floats alone: others, nearer to its middle, are tried
     for start in (points, 0.5 * points, 0 * points):
         near = parametric_windows.refined(reading, samples, start)[: len(p.size), 0]
         explained = _explained(p, tuple(Fraction(x) * s for x, s in zip(near.tolist(), p.size, strict=True)))
@@ -335,6 +324,7 @@ def _tree_of(p: _Proving, leaves: parametric_windows.Leaves, box: Mapping[str, E
 
 def _directed(p: _Proving, h: np.ndarray, box: Mapping[str, Ends]) -> Tree | None:
     """Return the leaf of a direction in floats with as few digits as prove it, or None."""
+    # a common factor changes no direction, and digits count beside the largest entry
     top = np.abs(h).max()
     if not 0 < top < np.inf:
         return None
@@ -348,10 +338,11 @@ def _directed(p: _Proving, h: np.ndarray, box: Mapping[str, Ends]) -> Tree | Non
 def _explained(p: _Proving, v: Vector) -> Explained | None:
     """Return the parameters, with as few digits as explain the window, or None."""
     for candidate in (*shorter(v), v):
+        # rounding for readers must not leave the box of the parameters
         inside = tuple(max(-size, min(x, size)) for x, size in zip(candidate, p.size, strict=True))
         window = p.at(inside)
         best = window.solve()
-        if best.factor <= 1:
+        if best.t <= 1:
             return inside, window, rounded_witness(window, best.z)
     return None
 

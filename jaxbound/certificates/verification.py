@@ -79,7 +79,9 @@ def verify(
     u = np.asarray(recording.u)[place][start:stop]
     tested.insist_watched(u, document["certificate"], [recording.label(j) for j in range(start, stop)])
     u = u[:, [known(tested.recorded).index(name) for name in known(model)]]
+    # factors on noise stand behind the inputs, and are no inputs of the plant
     inputs, factors = plain_samples(u[:, : model.m]), plain_factors(model, u)
+    # where a factor is missing its output says nothing: as detect takes it
     outputs = plain_samples(masked(model, u, np.asarray(recording.y)[place][start:stop]))
     times = None
     if document["names"]["times"] is not None:

@@ -1,10 +1,10 @@
 """The parts that all certificates share: a behaviour that explains a window, and exact numbers as text."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from decimal import Decimal, localcontext
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from jaxbound.certificates.checker.claim import checksum, statement
 from jaxbound.certificates.exact_window import ExactWindow
@@ -32,37 +32,46 @@ class Witnessed:
     test: str
 
     @cached_property
-    def _witness(self) -> "_Behaviour":
+    def _witness(self) -> dict[str, Vector]:
         if self.z is None:
-            return _Behaviour(None, None, None, None, None)
+            return {}
         return _behaviour(self.window, self.z)
+
+    def _rows(self, name: str, width: int) -> Matrix | None:
+        """Return a part of the witness as rows, None where there is no witness."""
+        if self.z is None:
+            return None
+        return in_rows(self._witness[name], width)
 
     @property
     def state(self) -> Vector | None:
         """The first state of the witness, or None."""
-        return self._witness.state
+        return self._witness.get("state")
 
     @property
     def outputs(self) -> Matrix | None:
         """The true outputs of the witness, a tuple of s + 1 rows, or None."""
-        return self._witness.outputs
+        return self._rows("outputs", self.window.model.p)
 
     @property
     def disturbances(self) -> Matrix | None:
         """The disturbances of the witness, a tuple of s rows, or None."""
-        return self._witness.disturbances
+        rows = self._rows("disturbances", self.window.model.g)
+        if rows == ():
+            return ((),) * self.window.horizon
+        return rows
 
     @property
     def unknown_inputs(self) -> Matrix | None:
         """The unknown inputs of the witness, a tuple of s rows (s + 1 where they act on the outputs at once),
         or None.
         """
-        return self._witness.unknown_inputs
+        return self._rows("unknown_inputs", self.window.model.d)
 
     @property
     def inputs(self) -> Matrix | None:
         """The inputs of the witness as recorded, missing ones filled in, a tuple of rows, or None."""
-        return self._witness.inputs
+        return self._rows("inputs", self.window.model.m)
 
     def _document(
         self, verdict: Status, proof: Numbers, times: Sequence[str] | None, sample: Sample
@@ -75,7 +84,9 @@ class Witnessed:
         if self.z is not None:
             numbers["witness"] = self._witness_dict(self.z)
         numbers |= proof
-        numbers["sum"] = checksum(_all_numbers(numbers))
+        every: list[Fraction] = []
+        written = texts(numbers, every)
+        written |= texts({"sum": checksum(every)}, [])
         if sample is None:
             sample = list(self.at)
         names = plain_names(self.window.model, sample, times)
@@ -83,7 +94,7 @@ class Witnessed:
         document: dict[str, Any] = {"certificate": verdict.name, "statement": sentence, "names": names}
         if self.test:
             document["test"] = self.test
-        return document | {"numbers": texts(numbers)}
+        return document | {"numbers": written}
 
     def _witness_dict(self, z: Vector) -> Numbers:
         """Return the numbers of a behaviour, a row for each sample."""
@@ -92,13 +103,13 @@ class Witnessed:
         gains = w.gains(z)
         if gains:
             numbers["gains"] = gains
-        numbers["state"] = of.state
+        numbers["state"] = of["state"]
         lowest = [lo for lo, _ in w.claim["disturbance"]]
-        numbers["disturbances"] = every_sample(w.horizon, _flat(of.disturbances), lowest)
+        numbers["disturbances"] = every_sample(w.horizon, of["disturbances"], lowest)
         nothing = [Fraction(0)] * model.d
-        numbers["unknown_inputs"] = every_sample(w.horizon, _flat(of.unknown_inputs), nothing)
-        numbers["inputs"] = every_sample(w.horizon, _flat(of.inputs), model.offset["u"])
-        numbers["outputs"] = of.outputs
+        numbers["unknown_inputs"] = every_sample(w.horizon, of["unknown_inputs"], nothing)
+        numbers["inputs"] = every_sample(w.horizon, of["inputs"], model.offset["u"])
+        numbers["outputs"] = in_rows(of["outputs"], model.p)
         return numbers
 
 
@@ -109,44 +120,34 @@ def every_sample(horizon: int, values: Sequence[T], last: Sequence[T]) -> tuple[
     if not last:
         return ((),) * (horizon + 1)
     rows = in_rows(values, len(last))
+    # the last one acts on no sample of the window: any value within its bounds will do
     if len(rows) == horizon:
         return (*rows, tuple(last))
     return rows
 
 
-class _Behaviour(NamedTuple):
-    """A behaviour of a window, each field as that of `Witnessed`; all None where none is known."""
-
-    state: Vector | None
-    disturbances: Matrix | None
-    unknown_inputs: Matrix | None
-    inputs: Matrix | None
-    outputs: Matrix | None
-
-
-def _behaviour(w: ExactWindow, z: Vector) -> _Behaviour:
-    """Return the behaviour at unknowns of a window."""
-    model, s, missing = w.model, w.horizon, w.missing_inputs
-    n, g = model.n, model.g * s
+def _behaviour(w: ExactWindow, z: Vector) -> dict[str, Vector]:
+    """Return the behaviour at unknowns of a window, by the names of `Witnessed`, flat."""
+    model, missing = w.model, w.missing_inputs
+    n, g = model.n, model.g * w.horizon
     outputs = []
     for i, true in enumerate(w.rows_at(z)[: len(w.y)]):
         outputs.append(true + model.offset["y"][i % model.p])
     z = z[: len(w.unknown_columns()[0])]
-    state, disturbances, rest = z[:n], z[n : n + g], z[n + g :]
-    free = len(rest) - len(missing)
-    unknown = dict(zip(missing, rest[free:], strict=True))
+    free = len(z) - len(missing)
+    unknown = dict(zip(missing, z[free:], strict=True))
     filled = []
     for j, v in enumerate(w.u):
         if v is None:
             v = unknown.get(j, Fraction(0)) + model.offset["u"][j % model.m]
         filled.append(v)
-    return _Behaviour(
-        state,
-        in_rows(disturbances, model.g) or ((),) * s,
-        in_rows(rest[:free], model.d),
-        in_rows(filled, model.m),
-        in_rows(outputs, model.p),
-    )
+    return {
+        "state": z[:n],
+        "disturbances": z[n : n + g],
+        "unknown_inputs": z[n + g : free],
+        "inputs": tuple(filled),
+        "outputs": tuple(outputs),
+    }
 
 
 def in_rows(values: Sequence[T], width: int) -> tuple[tuple[T, ...], ...]:
@@ -156,27 +157,14 @@ def in_rows(values: Sequence[T], width: int) -> tuple[tuple[T, ...], ...]:
     return tuple(tuple(values[j : j + width]) for j in range(0, len(values), width))
 
 
-def _flat(rows: Matrix | None) -> Vector:
-    return tuple(x for row in rows or () for x in row)
-
-
-def _all_numbers(tree: object) -> Iterator[Fraction]:
-    if isinstance(tree, Fraction):
-        yield tree
-    elif isinstance(tree, dict):
-        yield from _all_numbers(list(tree.values()))
-    elif isinstance(tree, (list, tuple)):
-        for branch in tree:
-            yield from _all_numbers(branch)
-
-
-def texts(tree: Any) -> Any:  # of a tree, whose branches have many types
-    """Return a tree of exact numbers with each as text."""
+def texts(tree: Any, every: list[Fraction]) -> Any:  # of a tree, whose branches have many types
+    """Return a tree of exact numbers with each as text; append them to `every`."""
     if isinstance(tree, dict):
-        return {name: texts(branch) for name, branch in tree.items()}
+        return {name: texts(branch, every) for name, branch in tree.items()}
     if isinstance(tree, (list, tuple)):
-        return [texts(branch) for branch in tree]
+        return [texts(branch, every) for branch in tree]
     if isinstance(tree, Fraction):
+        every.append(tree)
         return _text(tree)
     return tree
 
@@ -186,6 +174,7 @@ def _text(x: Fraction) -> str:
     "p/q".
     """
     with localcontext() as context:
+        # what people and recorders write is shorter; longer decimals are shown as quotients
         context.prec = 60
         short = Decimal(x.numerator) / Decimal(x.denominator)
     if Fraction(short) == x:

@@ -182,7 +182,7 @@ def isolability(
         for sign in _signs(fault):
             shown = _showing(healthy, moves, sign * Fraction(times) * size)
             best = shown.solve()
-            if best.factor <= 1:
+            if best.t <= 1:
                 continue
             sizes = Scale(shown, best.h)
             for other, (another, _) in weighed.items():

@@ -9,7 +9,8 @@ import numpy as np
 
 from jaxbound.consistency.interface import Judged
 from jaxbound.diagnosis.result import Result, result_of
-from jaxbound.estimation.set_observer import Observation, SetObserver
+from jaxbound.estimation.observation import Observation
+from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval

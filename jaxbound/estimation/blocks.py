@@ -10,7 +10,7 @@ from typing import TypeVar
 import jax
 import numpy as np
 
-from jaxbound.estimation.arrays import Array
+from jaxbound.consistency.interface import Array
 from jaxbound.sets.floats.threads import inherited
 
 T = TypeVar("T")

@@ -6,12 +6,12 @@ A sample says m - C x - D v = delta, |delta| <= s, of the state x = x_0 + (anyth
 and what other outputs say is met with them.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 
-from jaxbound.estimation.arrays import Array
+from jaxbound.consistency.interface import Array
 from jaxbound.estimation.set_rounding import SetRounding
 from jaxbound.sets.floats.unrolled import summed
 
@@ -35,15 +35,20 @@ class Free(NamedTuple):
     first: Array
 
 
-class Known(NamedTuple):
-    """Sets {c + G xi + diag(r) eta} of which unknown inputs leave something known.
+class Sets(NamedTuple):
+    """Sets {c + G xi + diag(r) eta}, and at least the size of each state.
 
-    Fields: c (n, N), G (n, q + p, N), the last p columns to be filled with errors of outputs; r (n, N).
+    Fields: c (n, N), G (n, q, N), r (n, N), size (n, N).
     """
 
     c: Array
     G: Array
     r: Array
+    size: Array
+
+
+Spanned: TypeAlias = tuple[Array, Array, Array]
+"""c, G and r of `Sets`."""
 
 
 class Reading(NamedTuple):
@@ -64,19 +69,18 @@ class Reading(NamedTuple):
 def known_again(
     free: Free,
     g: SetRounding,
-    known: Known,
-    size: Array,
+    sets: Sets,
     reading: Reading,
     whole: Array,
-) -> tuple[Known, Array, Array]:
+) -> tuple[Spanned, Array, Array]:
     """Return (the set of M x_0 + H m, the outputs (p, N) that are left to look at, where (N,) not all of S
     can be taken out), by the first way whose outputs are all there.
 
     Args:
-        g: bounds of rounding, of sums of n + p terms. known: of x_0; size (n, N): bounds of |x_0|. whole
-            (N,): where x_0 is the state itself.
+        g: bounds of rounding, of sums of n + p terms. sets: of x_0, with p columns more in G, to be filled
+            with errors of outputs. whole (N,): where x_0 is the state itself.
     """
-    (c, G, r), (_, there, through, loose, mid, rad) = known, reading
+    (c, G, r, size), (_, there, through, loose, mid, rad) = sets, reading
     (n, _, k), (p, N) = free.M.shape, mid.shape
     usable = jnp.all(there[:, None] | ~free.used[:, :, None], 0)
     way, taken = jnp.argmax(usable, 0), jnp.any(usable, 0) & ~whole
@@ -99,7 +103,7 @@ def known_again(
     moved = times(M, G[:, :-p])
     lost = ~(taken | whole)
     left = there & ~(taken[None] & of_way(free.used)) & ~(lost[None] & free.shown[:, None])
-    return Known(c, jnp.concatenate([moved, H * rad[None]], 1), r), left, lost
+    return (c, jnp.concatenate([moved, H * rad[None]], 1), r), left, lost
 
 
 def times(M: Array, X: Array) -> jax.Array:

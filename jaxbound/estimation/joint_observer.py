@@ -20,8 +20,8 @@ from typing import ClassVar, NamedTuple
 import jax
 import numpy as np
 
+from jaxbound.consistency.interface import Array
 from jaxbound.estimation import zonotope_steps as steps
-from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.blocks import chosen, in_lanes, repeated
 from jaxbound.estimation.observed_plant import ObservedPlant
 from jaxbound.estimation.parallelotope import (
@@ -168,12 +168,14 @@ class JointObserver(SetObserver[JointState]):
         window = chosen(state.window, lanes)
         (rows, back), n = self._directions(number - 1), self.plant.system.n
         lo, hi, most = template(rows, mark.c[None], mark.S[None], mark.r[None])
+        # the mark keeps strips of its own, which are often narrower than those of its parallelotope
         lo[n:] = np.maximum(lo[n:], mark.mid - mark.rad)
         hi[n:] = np.minimum(hi[n:], mark.mid + mark.rad)
         middles, (*_, z) = np.full(len(lanes), self.half), gauges(self.windows, prior, window)
         low, high = supports(self.windows, prior, window, z, rows, hi - lo, middles, before=True)
         lo, hi = np.maximum(lo, low), np.minimum(hi, high)
         better = parallelotope(back, rows, lo, hi, most, self.plant.dtype)
+        # of what a program lost nothing is believed: the set of the zonotopes stays
         bounded = _is_known(better)
         out: Prior = jax.tree.map(np.array, state.mark)
         for whole, part in zip(out, better, strict=True):
@@ -204,6 +206,7 @@ class JointObserver(SetObserver[JointState]):
         sides = generators[:, np.abs(generators).any(0)]
         if sides.shape[1] > n or not whole:
             return None
+        # kernels take as many sides as states: the others are 0
         sides = np.pad(sides, ((0, 0), (0, n - sides.shape[1])))
 
         def repeated(x: np.ndarray) -> np.ndarray:
@@ -239,6 +242,7 @@ class JointObserver(SetObserver[JointState]):
         c, S, r, *_ = state.mark
         # sides of a box: a state is compared with each
         sides = np.eye(len(S), dtype=bool)[:, :, None]
+        # inward: a trajectory has to begin within what the user gave
         inner = np.nextafter(np.abs(S).astype(np.float64) - r[:, None], -np.inf)
         inner = rounding.round_down(np.maximum(inner, 0), self.plant.dtype)
         within = np.where(sides, np.sign(S) * inner, S)
@@ -277,6 +281,7 @@ class JointObserver(SetObserver[JointState]):
         begin = self.half + t % self.half
         state = state._replace(window=self._with_samples(state.window, begin, samples, found))
         since = t + np.arange(T)[:, None] - found.age + 1
+        # only where the zonotopes rest on all of the window: its first state is enclosed then
         judged = np.asarray((found.age > 0) & (since <= block - self.half) & _is_known(state.prior))
         judged &= np.asarray(found.status) == Status.UNDECIDED
         wrong, margin, states = self._refuted(state, begin, judged, np.asarray(found.states))
@@ -342,6 +347,7 @@ class JointObserver(SetObserver[JointState]):
             own = ends[ks, :, lanes].T
             width = np.maximum(own[:n] + own[n:], 0)
             low, high = supports(self.windows, prior, window, z, np.eye(n), width, begin + ks)
+            # ends in the wrong order are of a search that lost its digits
             shown = ~refuted & np.isfinite(low) & np.isfinite(high) & (low <= high)
             better = rounding.round_up(np.concatenate([-low, high]), self.plant.dtype)
             both = np.concatenate([shown, shown])

@@ -85,6 +85,7 @@ class ObservedPlant:
             rho = rho + RECORDER_ULPS * own * (size + rho) + tiny
             mid, rad = true_range(y - y0, rho, sigma, e)
             scale = lift * (size + np.abs(y0)) + rad
+            # written so that NaN is gone, too
             gone = absent | ~(scale < most)
             rad = rad + gamma * scale + floor
             given = np.abs(u)

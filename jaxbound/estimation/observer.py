@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike
 
 from jaxbound.consistency.drive import drive
 from jaxbound.estimation.methods import ObserverMethod, observer_method
+from jaxbound.estimation.observation import Observation
 from jaxbound.estimation.observed_plant import ObservedModel, observed_plant
-from jaxbound.estimation.set_observer import Observation, SetObserver, ZonotopeObserver
+from jaxbound.estimation.set_observer import SetObserver, ZonotopeObserver
 from jaxbound.estimation.zonotope_numbers import first_set
 from jaxbound.recordings.table import Data
 from jaxbound.sets.floats.kernel import sparing

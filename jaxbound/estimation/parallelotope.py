@@ -4,8 +4,7 @@ last axis.
 
 import numpy as np
 
-from jaxbound.estimation.arrays import Array
-from jaxbound.estimation.window import OFF, Prior
+from jaxbound.estimation.window import OFF, Prior, through
 from jaxbound.estimation.zonotope_steps import Numbers
 from jaxbound.sets.floats import rounding
 
@@ -19,7 +18,7 @@ def added(X: np.ndarray, axis: int = 0) -> np.ndarray:
     """Return the sums of X along an axis, added up in order; 0 of nothing.
 
     NumPy adds pairwise where an axis of one recording lies last: of a recording these are the same bits,
-    whatever stands beside it. So are those of `mapped`.
+    whatever stands beside it.
     """
     sums: np.ndarray
     if X.shape[axis]:
@@ -27,15 +26,6 @@ def added(X: np.ndarray, axis: int = 0) -> np.ndarray:
     else:
         sums = X.sum(axis)
     return sums
-
-
-def mapped(M: Array, X: Array, axis: int = 0) -> np.ndarray:
-    """Return M X for M (r, n) and the axis of X that has n entries."""
-    rows = np.moveaxis(np.asarray(X), axis, 0)
-    out = np.zeros((len(M), *rows.shape[1:]), np.result_type(M, X))
-    for column, row in zip(M.T, rows, strict=True):
-        out += column.reshape(-1, *[1] * row.ndim) * row
-    return np.moveaxis(out, 0, axis)
 
 
 def lasting(A: np.ndarray, C: np.ndarray, steps: int) -> np.ndarray:
@@ -69,8 +59,9 @@ def template(
     """
     c, G, r = (x.astype(np.float64) for x in (c, G, r))
     most = np.abs(c) + added(np.abs(G), 2) + r
-    mid, reach = mapped(D, c, 1), added(np.abs(mapped(D, G, 1)), 2) + mapped(np.abs(D), r, 1)
-    reach = (reach + OFF * mapped(np.abs(D), most, 1)) * ROUNDED + 2.0**-500
+    turned = through(D, np.moveaxis(G, 2, 0))  # generator by generator
+    mid, reach = through(D, c), added(np.abs(turned)) + through(np.abs(D), r)
+    reach = (reach + OFF * through(np.abs(D), most)) * ROUNDED + 2.0**-500
     return (mid - reach).max(0), (mid + reach).min(0), most.min(0) * ROUNDED
 
 
@@ -88,9 +79,9 @@ def parallelotope(
         of_strips = (rad[n:] + np.abs(near - mid[n:])) * ROUNDED + 2.0**-100
         of_strips = rounding.round_up(np.where(bounded[n:], of_strips, np.inf), dtype)
         D, mid, rad = rows[:n], mid[:n], rad[:n]
-        c, S = mapped(back, mid), back[:, :, None] * rad[None]
+        c, S = through(back, mid), back[:, :, None] * rad[None]
         rest = np.abs(np.eye(n) - back @ D) + OFF * np.abs(back) @ np.abs(D)
-        off = mapped(rest, most) + mapped(OFF * np.abs(back), np.abs(mid) + rad)
+        off = through(rest, most) + through(OFF * np.abs(back), np.abs(mid) + rad)
         near_c, near_S = c.astype(dtype), S.astype(dtype)
         off = off + np.abs(c - near_c) + added(np.abs(S - near_S), 1)
         off = np.where(off < 2.0**100, off * ROUNDED + 2.0**-100, np.inf)

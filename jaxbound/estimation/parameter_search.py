@@ -80,6 +80,7 @@ class Search:
     def judge(self, lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[np.ndarray]:
         """Return the Verdicts on the boxes of a level, by all windows or some spread over the recording."""
         step = -(-self.test.count // LOOKED)
+        # other windows at each level: all have their turn
         windows = np.arange(self.level % step, self.test.count, step)
         keep, lean = self.left(lo, hi, windows)
         axis = np.full(len(keep), -1)
@@ -111,6 +112,7 @@ class Search:
 
     def _closest(self, lo: np.ndarray, hi: np.ndarray, windows: np.ndarray, together: int) -> Closest:
         left, nearest = np.arange(lo.shape[1]), None
+        # a window that refuted many boxes is likely to refute the next
         best = np.argsort(-self.refuted, kind="stable")[:NEAR]
         asked = np.broadcast_to(best, (len(left), len(best)))
         for closely in (True, False, True)[: 2 + self.test.searched]:
@@ -149,6 +151,7 @@ class Search:
         share = edge / np.where(hull > 0, hull, 1)
         middle = 0.5 * lo + 0.5 * hi
         helps = (share > self.precision) & (lean > FLAT * self.precision) & (lo < middle) & (middle < hi)
+        # floats would not tell the halves apart much longer
         helps &= edge > LEAST * (self.test.hi - self.test.lo)[:, None]
         helps &= np.isin(np.arange(len(lo)), axes)[:, None]
         axis = np.where(helps.any(0), np.where(helps, lean * share, -1.0).argmax(0), -1)

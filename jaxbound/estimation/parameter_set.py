@@ -95,6 +95,7 @@ class ParameterSet:
         inside = np.ones(len(self.lo), bool)
         for name, lo, hi in zip(self.names, self.lo.T, self.hi.T, strict=True):
             value = rational(values[name])
+            # exactly lo <= value <= hi, since lo and hi are floats
             inside &= (lo <= rounding.round_down(value)) & (rounding.round_up(value) <= hi)
         return bool(inside.any())
 

@@ -19,11 +19,10 @@ import jax
 import numpy as np
 from jax.typing import DTypeLike
 
-from jaxbound.certificates.interface import explained_window
-from jaxbound.consistency.interface import Budget, Judged, Observer
+from jaxbound.certificates.interface import WindowCertificate, window_certificate
+from jaxbound.consistency.interface import Array, Budget, Judged, Observer
 from jaxbound.consistency.twice import warn_doubtful
 from jaxbound.estimation import zonotope_steps as steps
-from jaxbound.estimation.arrays import Array
 from jaxbound.estimation.blocks import chosen, in_blocks, recordings_of
 from jaxbound.estimation.lanes import emptied, joined
 from jaxbound.estimation.observation import Observation, State
@@ -42,14 +41,6 @@ from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.floats.status import Status
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
-
-__all__ = [
-    "Observation",
-    "ObserverState",
-    "Piece",
-    "SetObserver",
-    "ZonotopeObserver",
-]
 
 BLOCK = 32
 """Sets side by side in the one kernel there is: they should stay in the cache. It is filled up, since kernels
@@ -127,6 +118,7 @@ class SetObserver(Observer[State], Generic[State]):
         if self.x0 is None:
             return None
         center, generators, box = (np.asarray(x, np.float64) for x in self.x0[:3])
+        # outward: a certificate takes these ends as bounds of the first state
         reach = (np.abs(generators).sum(1) + box) * ROUNDED
         return np.stack([np.nextafter(center - reach, -np.inf), np.nextafter(center + reach, np.inf)], 1)
 
@@ -242,6 +234,7 @@ class SetObserver(Observer[State], Generic[State]):
         anew, first = samples.fresh | behind, fault
         if not self.restart:  # of a FAULT that stays, the first
             anew, first = samples.fresh, fault & ~behind
+        # of each sample the last one at which the observer began anew
         begins = np.maximum.accumulate(np.where(anew, numbers, 0))
         ends = np.argwhere(first)
         rounds = [(len(fault), 1)]
@@ -269,6 +262,7 @@ class SetObserver(Observer[State], Generic[State]):
         their recordings.
         """
         last, numbers = ends.T
+        # shorter stretches repeat their last sample: all lie in one array
         rows = np.minimum(begin + np.arange((last - begin).max() + 1)[:, None], last)
         some = jax.tree.map(lambda x: np.moveaxis(np.moveaxis(x, -1, 1)[rows, numbers], 1, -1), samples)
         some.fresh[0] |= begin > 0  # what is carried to the first sample of all is the only set believed
@@ -317,12 +311,14 @@ class SetObserver(Observer[State], Generic[State]):
             raise ValueError(f"this observer follows {self._count(carry)} recordings, y holds {count}")
 
         def time_first(x: np.ndarray) -> np.ndarray:
+            # recordings on the last axis: vector code runs along it
             return np.moveaxis(x.reshape(count, T, x.shape[-1]), 0, -1).astype(self.plant.dtype)
 
         fresh = np.zeros((T, count), bool)
         fresh[np.asarray(piece.starts, np.int64)] = True
         if piece.excluded is not None:
             fresh |= piece.excluded[:, None]
+        # what a recorder rounded stays rounded, however exactly kernels compute
         unit = max(float(rounding.unit(y.dtype)), float(rounding.unit(self.plant.dtype)))
         columns = time_first(u), time_first(y), time_first(input_slip(u))
         return tuple(lead), self.plant.read(*columns, fresh, unit)
@@ -393,6 +389,7 @@ class SetObserver(Observer[State], Generic[State]):
         status, margin, age = shaped(found.status), shaped(found.margin), shaped(found.age)
         if not self.enclosures:
             return Judged(status, margin)
+        # sets count their samples; readers ask for the number of the first one
         since = np.where(age > 0, int(before.samples) + np.arange(T) - age + 1, -1)
         gone = np.zeros(found.status.shape, bool)
         if not self.restart:  # behind a FAULT that stays nothing is left
@@ -430,9 +427,8 @@ def _interval_of_ends(ends: np.ndarray, width: int) -> Interval:
     return Interval(-ends[..., :width], ends[..., width:])
 
 
-@explained_window.register(SetObserver)
+@window_certificate.register(SetObserver)
 def _(
     observer: SetObserver[Any], result: ObservedResult, at: tuple[int, ...], status: Status
-) -> tuple[Any, np.ndarray, np.ndarray]:
-    """Return the shortest window that proves a FAULT, see `short_proof`."""
+) -> WindowCertificate:
     return short_proof(observer.model, observer.first_box, result, at, status)

@@ -121,6 +121,7 @@ def unknown_inputs(
         lag = lags[j] = horizon - position
         share = partial(in_part, report, j / model.d, 1 / model.d)
         least, most = _way_ranges(_strips_at(model, horizon, position, j), recording, share)
+        # ways that contradict each other: the window is refuted
         empty = least > most
         least[empty], most[empty] = np.inf, -np.inf
         at = ..., slice(position, max(position, samples[-1] - lag)), j

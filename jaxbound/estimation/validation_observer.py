@@ -175,6 +175,7 @@ class ValidationObserver(Observer[ValidationState]):
         fits, kinds = at + s < stops, known.astype(int)  # 2: goes on
         if before is not None:
             at[0], kinds[0], fits[0] = 0, 2, stops[0] > old
+        # few lengths, so that few kernels are compiled
         lengths = np.maximum(list(map(power, (stops - at).tolist())), SHORTEST)
         ends_found = np.full((T, 2, m.n + 3 * m.p), np.inf, m.A.dtype)
         tested, blamed = np.zeros(T, bool), np.zeros((T, m.p + 1), bool)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from jaxbound.estimation.arrays import Array
+from jaxbound.consistency.interface import Array
 from jaxbound.sets.intervals.interval import Interval
 from jaxbound.text.objects import readable
 

@@ -207,6 +207,7 @@ def slide(
         implied = show(X.reshape(2, s + 1, n, N), k - s)
         residual = stored(subtracted(newest[:, 0], implied[:, s]))
         alone = ((residual[0] < 0) | (residual[1] < 0)) & ~gone[s]
+        # left out before all rows are met: it would make them contradict each other
         gone = gone.at[s].set(gone[s] | alone)
         moves = _rows(negative(_part(signals.pushed, k - s, s)))
         h = stored(jnp.concatenate([moves, _rows(jnp.where(gone, implied, samples))], 1))
@@ -215,6 +216,7 @@ def slide(
         gone = gone.at[s].set(gone[s] | faulty | unclear[None])
         output = show(X[:, None, s * n :], k)[:, 0]
         corrected = jnp.where(gone[s], output, jnp.minimum(output, newest[:, 0]))
+        # a sample that was accepted may still miss what all rows together imply
         corrected = jnp.where(none(corrected), output, corrected)
         if centre:
             shift = jnp.where(faulty, _mid(output) - _mid(newest[:, 0]), 0)

@@ -31,7 +31,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxbound.estimation.arrays import Array
+from jaxbound.consistency.interface import Array
 from jaxbound.estimation.window_runs import AverageRows, bounds_of
 from jaxbound.estimation.zonotope_steps import Numbers
 from jaxbound.sets.floats import rounding
@@ -180,6 +180,7 @@ class WindowPlant:
         loose, of_sample, of_step = self._widths(behind, v, slip, gamma)
         first = np.abs(prior.c) + np.abs(prior.S).sum(1) + prior.r
         drawn = np.asarray(sizes.w + sizes.W.sum(1))[:, None] + through(sizes.B, np.abs(v))
+        # bounds of the state before a sample: of the one behind the sample before, moved on
         before = np.concatenate([first[None], (_acting(sizes.A, behind) + drawn + of_step)[:-1] * (1 + 1e-9)])
         seen = np.isfinite(rad)
         return Image(
@@ -203,6 +204,7 @@ class WindowPlant:
         (L, p, N), t, used = image.m.shape, len(self.strips), self.taking[-1]
         h = np.where(np.abs(h) < STEEPEST, h, 0).astype(np.float64)
         l = np.zeros((L, p, N))
+        # samples by which unknown inputs are taken out have no multiplier: it follows from the others
         l[:, ~used] = h[t : len(h) - len(image.b)].reshape(L, -1, N)
         u = h[len(h) - len(image.b) :]
         return _told(h[:t], image.prior.rad), _told(l, image.rad), _told(u, image.b)

@@ -68,6 +68,7 @@ def supports(
     # without unknown inputs the state before its sample is the state
     earlier = before and bool(plant.taking[-1].any())
     usual = np.where((width > 0) & np.isfinite(width), width, 1)
+    # by powers of two: nothing is rounded, and every program has a width of about 1
     scale = np.tile(np.ldexp(1.0, -np.frexp(usual)[1]), (2, 1)).ravel()
     directions, dtype = np.concatenate([-D, D]), prior.c.dtype
 

@@ -30,7 +30,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.estimation.arrays import Array
+from jaxbound.consistency.interface import Array
 from jaxbound.estimation.window import Image, WindowPlant, through
 
 PACE = 0.15
@@ -123,6 +123,7 @@ def program_of(plant: WindowPlant, image: Image, dtype: np.dtype) -> WindowProgr
     S = np.concatenate([np.einsum("ij,jkN->ikN", M, S), -H[:, used, None] * size[0][None]], 1)
     later = np.concatenate([size[1:], size[-1:]])
     scale = np.concatenate([np.ones((L, W.shape[1], N)), later], 1)
+    # of a strip that says nothing the radius is infinite, and its middle means nothing
     off = np.where(bounded, prior.mid - through(plant.strips, prior.c), 0)
     e = np.where(seen, _prediction_errors(plant, image), 0)[:, ~used].reshape(-1, N)
     b = _thinnest(image.b)
@@ -400,6 +401,7 @@ def _path(
     def going(path: _Path) -> jax.Array:
         return (path.step < STEPS) & ~jnp.all(path.done)
 
+    # begun inside: every unknown keeps a distance from its bound
     t = jnp.where(gauge, 1.25 * jnp.max(jnp.abs(z), 0) + 1e-3, 1)[None]
     mu = jnp.where(gauge, t / count, START)
     up, down = mu / (t - z), mu / (t + z)

@@ -101,6 +101,7 @@ def beginning_horizon(
         before, reached = reached, linalg.rank(rows)
         if reached == len(plant.kept) or (directions is not None and _is_forgotten(linear, plant, rows, h)):
             return h
+        # one more sample shows no more states, so none ever will (Cayley, Hamilton)
         if reached == before and directions is None:
             return None
         newest = linalg.matmul(newest, plant.A)
@@ -163,14 +164,15 @@ def zonotope_begin(
     K0 = left_inverse(O, np.tile(system.noise, h + 1), kept)
     response = _response(plant, h, linalg.matmul(powers[h], K0), h)
     float64 = numbers(linear, system, np.dtype(np.float64))
-    K, off_K = nearest(_beside(response.samples, system.n), dtype)
+    K, off_K = nearest(linalg.beside(*response.samples), dtype)
     B, D = exactly(middle(system.B)[0]), exactly(middle(system.D)[0])
     moved = [*(linalg.matmul(x, B) for x in response.steps), linalg.zeros(system.n, system.m)]
     through = [linalg.matmul(x, D) for x in response.samples]
-    U, off_U = nearest(_plus(_beside(moved, system.n), _beside(through, system.n), -1), dtype)
+    U, off_U = nearest(_plus(linalg.beside(*moved), linalg.beside(*through), -1), dtype)
     pushes = exactly(np.asarray(float64.W))
-    W, off_W = nearest(_beside([linalg.matmul(x, pushes) for x in response.steps], system.n), dtype)
-    middles = linalg.multiply(_beside(response.steps, system.n), exactly(np.tile(float64.w, (1, h)))[0])
+    nothing = linalg.zeros(system.n, 0)  # no step lies between one sample and itself
+    W, off_W = nearest(linalg.beside(nothing, *(linalg.matmul(x, pushes) for x in response.steps)), dtype)
+    middles = linalg.multiply(linalg.beside(nothing, *response.steps), exactly(np.tile(float64.w, (1, h)))[0])
     w, off_w = nearest(linalg.transpose([middles]), dtype)
     wide = _deviations(plant, system, powers, K0, response, float64)
     if wide is None:
@@ -259,8 +261,8 @@ def _reach(
 
 def _acting(response: _Response, samples: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Return the bound of what errors of samples (h+1, p, .) and of steps (h, n, .) make of a state."""
-    n, width = len(response.samples[0]), samples.shape[-1]
-    K, R = _sizes(_beside(response.samples, n)), _sizes(_beside(response.steps, n))
+    width, nothing = samples.shape[-1], linalg.zeros(len(response.samples[0]), 0)
+    K, R = _sizes(linalg.beside(*response.samples)), _sizes(linalg.beside(nothing, *response.steps))
     return np.asarray(K @ samples.reshape(-1, width) + R @ steps.reshape(-1, width))
 
 
@@ -313,8 +315,3 @@ def _sizes(rows: Rows) -> np.ndarray:
 def _plus(a: Fractions, b: Fractions, factor: int = 1) -> Matrix:
     """Return a matrix plus a factor times another."""
     return tuple(linalg.add_multiple(x, factor, y) for x, y in zip(a, b, strict=True))
-
-
-def _beside(blocks: Sequence[Fractions], n: int) -> Matrix:
-    """Return matrices of n rows side by side."""
-    return tuple(tuple(x for block in blocks for x in block[i]) for i in range(n))

@@ -29,8 +29,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbound.estimation.arrays import Array
-from jaxbound.estimation.free_inputs import Free, Known, Reading, known_again, times
+from jaxbound.consistency.interface import Array
+from jaxbound.estimation.free_inputs import Free, Reading, Sets, Spanned, known_again, times
 from jaxbound.estimation.piece import Piece
 from jaxbound.estimation.set_rounding import SetRounding, set_rounding
 from jaxbound.sets.floats.kernel import kernel
@@ -117,18 +117,6 @@ class Found(NamedTuple):
     age: Array
     states: Array
     outputs: Array
-
-
-class _Sets(NamedTuple):
-    """Sets {c + G xi + diag(r) eta}, and at least the size of each state.
-
-    Fields: c (n, N), G (n, q, N), r (n, N), size (n, N).
-    """
-
-    c: Array
-    G: Array
-    r: Array
-    size: Array
 
 
 class _Shown(NamedTuple):
@@ -239,30 +227,31 @@ def _sample(
     dtype, g = carry.c.dtype, _rounding(plant, carry.G)
     outputs = _outputs(plant, now, g)
     first = before = _sized(g, carry.c, carry.G, carry.r)
-    prior = Known(carry.c, jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1), carry.r)
+    prior: Spanned = carry.c, jnp.concatenate([carry.G, jnp.zeros((n, p, N), dtype)], 1), carry.r
     there: Array = outputs.seen
     lost: Array = jnp.zeros(N, bool)
     whole: Array = jnp.zeros(N, bool)
     if plant.free is not None:
         whole = plant.free.first & (carry.age == 0)  # a first state in bounds is the state itself
         prior, there, lost = known_again(
-            plant.free, _rounding(plant, carry.G, p), prior, first.size, outputs, whole
+            plant.free, _rounding(plant, carry.G, p), Sets(*prior, first.size), outputs, whole
         )
         before = _sized(g, *prior)
 
-    def meet(i: jax.Array, state: tuple[_Sets, jax.Array, jax.Array]) -> tuple[_Sets, jax.Array, jax.Array]:
+    def meet(i: jax.Array, state: tuple[Sets, jax.Array, jax.Array]) -> tuple[Sets, jax.Array, jax.Array]:
         """Test output i against the set before this sample and as it is by now, then meet its strip."""
         sets, ratio, wrong = state
         shown = _shown(plant, g, outputs, i, sets)
         alone = _shown(plant, g, outputs, i, before)
         tested, s = _row(there, i), _row(outputs.rad, i)
         e = _row(outputs.mid, i) - shown.value
+        # either set holds the state: the one that earlier outputs narrowed, and the one before the sample
         for far, bound in ((e, shown.reach + s), (_row(outputs.mid, i) - alone.value, alone.reach + s)):
             ratio = jnp.where(tested, jnp.maximum(ratio, jnp.abs(far) / bound), ratio)
             wrong |= tested & (jnp.abs(far) > g.up * bound)
         return _met(plant, g, carry.weight, sets, shown, (e, s, tested), i, q), ratio, wrong
 
-    begin = _Sets(*prior, before.size), jnp.zeros(N, dtype), now.refuted
+    begin = Sets(*prior, before.size), jnp.zeros(N, dtype), now.refuted
     after, ratio, wrong = jax.lax.fori_loop(0, p, meet, begin)
     bounded = jnp.all(after.size <= g.most, 0)
     looked = alive & jnp.any(there, 0)
@@ -275,6 +264,7 @@ def _sample(
     ends = jnp.zeros((0, N), dtype), jnp.zeros((0, N), dtype)
     past = carry.mid, carry.rad, carry.v, carry.slip
     mid, rad, v, slip = recent = [jnp.concatenate([x, new[None]]) for x, new in zip(past, now, strict=False)]
+    # a beginning needs samples in a row that lack nothing
     ready = jnp.where(now.known & jnp.all(jnp.isfinite(now.rad), 0), carry.ready + 1, 0)
     if start is not None:
         begins = (age < 0) & (ready > len(carry.mid))
@@ -309,9 +299,9 @@ def _outputs(plant: Numbers, now: Piece, g: SetRounding) -> Reading:
     return Reading(driven, seen, through, loose, jnp.where(seen, now.mid, 0), jnp.where(seen, now.rad, 0))
 
 
-def _sized(g: SetRounding, c: Array, G: Array, r: Array) -> _Sets:
+def _sized(g: SetRounding, c: Array, G: Array, r: Array) -> Sets:
     """Return sets with at least the size of their states."""
-    return _Sets(c, G, r, jnp.abs(c) + g.up * jnp.sum(jnp.abs(G), 1) + r)
+    return Sets(c, G, r, jnp.abs(c) + g.up * jnp.sum(jnp.abs(G), 1) + r)
 
 
 def _row(x: Array, i: jax.Array) -> jax.Array:
@@ -320,7 +310,7 @@ def _row(x: Array, i: jax.Array) -> jax.Array:
     return row
 
 
-def _shown(plant: Numbers, g: SetRounding, outputs: Reading, i: jax.Array, sets: _Sets) -> _Shown:
+def _shown(plant: Numbers, g: SetRounding, outputs: Reading, i: jax.Array, sets: Sets) -> _Shown:
     """Return output i of sets."""
     row, wide = _row(plant.C, i), _row(plant.wide_C, i)
     P = summed(_product, row, sets.G)
@@ -350,12 +340,12 @@ def _met(
     plant: Numbers,
     g: SetRounding,
     weight: Array,
-    sets: _Sets,
+    sets: Sets,
     shown: _Shown,
     strip: tuple[jax.Array, jax.Array, jax.Array],
     i: jax.Array,
     q: int,
-) -> _Sets:
+) -> Sets:
     """Return sets met with the strip of output i.
 
     Args:
@@ -376,7 +366,7 @@ def _met(
     G = jax.lax.dynamic_update_index_in_dim(G, column, q + i, 1)
     c = sets.c + L * e[None]
     # what is summed may be rounded otherwise than what is kept, by less than r
-    return _Sets(c, G, r, _sized(g, c, G, 2 * r).size)
+    return Sets(c, G, r, _sized(g, c, G, 2 * r).size)
 
 
 def _begun_where(
@@ -385,15 +375,15 @@ def _begun_where(
     recent: Sequence[jax.Array],
     g: SetRounding,
     begins: jax.Array,
-    sets: _Sets,
-) -> _Sets:
+    sets: Sets,
+) -> Sets:
     """Return the sets, where it begins those that the last samples alone allow, with as many generators.
 
     Args:
         recent: mid, rad, v, slip of the last samples, the oldest first.
     """
 
-    def begun(sets: _Sets) -> _Sets:
+    def begun(sets: Sets) -> Sets:
         mid, rad, v, slip = (x.reshape(-1, x.shape[-1]) for x in recent)
         rad = jnp.where(begins[None], rad, 0)
         n, wide, N = sets.G.shape
@@ -411,9 +401,9 @@ def _begun_where(
         generators = jnp.concatenate([jnp.zeros((n, wide, N), off.dtype), *columns], 1)
         G, off, _ = _reduced(generators, off, wide, h)
         new = _sized(g, centre, G, off)
-        return _Sets(*(jnp.where(begins, x, y) for x, y in zip(new, sets, strict=True)))
+        return Sets(*(jnp.where(begins, x, y) for x, y in zip(new, sets, strict=True)))
 
-    after: _Sets = jax.lax.cond(jnp.any(begins), begun, lambda sets: sets, sets)
+    after: Sets = jax.lax.cond(jnp.any(begins), begun, lambda sets: sets, sets)
     return after
 
 
@@ -450,6 +440,7 @@ def _step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Pi
     G = jnp.concatenate([moved, jnp.broadcast_to(plant.W[:, :, None], (*plant.W.shape, N))], 1)
     G, r, reach = _reduced(G, r, q, g)
     bounded = jnp.all(jnp.abs(c) + g.up * reach + r <= g.most, 0)
+    # a missing input that moves no state is no loss
     needed = jnp.any(plant.B != 0) | jnp.any(plant.wide_B != 0)
     lost = ~bounded | (needed & ~now.known)
     return carry._replace(c=c, G=G, r=r, age=jnp.where(lost, -1, carry.age))
@@ -491,9 +482,9 @@ class _Around(NamedTuple):
     set before it is of the state itself.
     """
 
-    first: _Sets
-    before: _Sets
-    after: _Sets
+    first: Sets
+    before: Sets
+    after: Sets
     refuted: Array
     tested: Array
     there: Array
@@ -521,12 +512,12 @@ def _enclosures(
     return states, jnp.concatenate([first, jnp.where(refuted, first, jnp.minimum(first, second))])
 
 
-def _reach_of_states(sets: _Sets) -> tuple[Array, Array]:
+def _reach_of_states(sets: Sets) -> tuple[Array, Array]:
     """Return the middles of the states of sets, and how far they reach."""
     return sets.c, jnp.sum(jnp.abs(sets.G), 1) + sets.r
 
 
-def _outputs_of(plant: Numbers, g: SetRounding, outputs: Reading, sets: _Sets) -> tuple[Array, Array]:
+def _outputs_of(plant: Numbers, g: SetRounding, outputs: Reading, sets: Sets) -> tuple[Array, Array]:
     """Return the outputs of sets, as perfect sensors would show them, and how far they reach."""
 
     def value_and_reach(i: jax.Array) -> tuple[Array, Array]:

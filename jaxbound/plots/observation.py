@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxbound.estimation.set_observer import Observation
+from jaxbound.estimation.observation import Observation
 from jaxbound.plots.bands import Band, band_at, draw_bands, one_recording, one_signal
 from jaxbound.plots.plot import plot
 from jaxbound.sets.floats.status import Status

@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 
 import jaxbound as jb
 from jaxbound.certificates.interface import certify
-from jaxbound.certificates.long_window import LongCertificate, exceeds, stretch
+from jaxbound.certificates.long_window import LongCertificate, stretch
 
 PLANT = jb.LinearSystem(
     [["0.98", "0.05"], ["-0.02", "0.97"]],
@@ -74,7 +74,6 @@ def needed(u, y, first=None):
 def test_one_relation_among_all_samples_proves_a_slow_fault(first):
     u, y = recorded(90, 1.5)
     about, t = stretch(PLANT, 89, first), needed(u, y, first)
-    assert exceeds(about, u, y) == pytest.approx(t, rel=1e-6)
     found = certify(about, u, y)
     assert (
         type(found) is LongCertificate
@@ -101,7 +100,7 @@ def test_one_relation_among_all_samples_proves_a_slow_fault(first):
 def test_what_can_be_explained_has_no_such_certificate():
     u, y = recorded(60, 0.0)
     about = stretch(PLANT, 59)
-    assert exceeds(about, u, y) < 1
+    assert needed(u, y) < 1
     with pytest.raises(
         NotImplementedError,
         match="no relation of these 60 samples is found that proves the FAULT at 59 alone",
@@ -132,7 +131,6 @@ def test_gains_that_keep_their_value_are_no_contradiction_and_one_of_them_is_con
     u, x = np.ones((13, 1)), 10 - 5 * 0.9 ** np.arange(13)
     healthy = np.stack([1.15 * x, 0.9 * x], 1)
     about = stretch(plant, 12)
-    assert exceeds(about, u, healthy) < 1
     with pytest.raises(NotImplementedError, match="no relation of these 13 samples"):
         certify(about, u, healthy)
     apart = np.stack([1.9 * x, 0.9 * x], 1)

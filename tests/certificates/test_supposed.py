@@ -90,7 +90,7 @@ def explains(window, fault, size):
     """Return whether a fault does, from any sample on, by the exact window alone."""
     x = 1 / (1 + size) if fault.get("kind") == "gain" else size
     pushes = pushes_of(jb.NamedFault("f", **fault), window, x < 0 and "kind" in fault)
-    return any(with_fault(window, push, x).solve().factor <= 1 for push in pushes)
+    return any(with_fault(window, push, x).solve().t <= 1 for push in pushes)
 
 
 @pytest.mark.parametrize("fault", [KINDS["bias"], KINDS["offset"], KINDS["gain"]])

@@ -142,7 +142,7 @@ def test_what_is_far_from_the_boundary_is_decided_and_the_certificate_holds(mode
                 check_certificate.confirm(document)
                 assert document["certificate"] == Status(status).name, (model, s, w)
             elif status == Status.UNDECIDED:
-                margin = 1 - exact_window(relations, u[w], y[w]).solve().factor
+                margin = 1 - exact_window(relations, u[w], y[w]).solve().t
                 assert abs(margin) < (1e-6 if dtype == np.float64 else 0.1), (model, s, w, float(margin))
             counts[status] += 1
     print({s.name: int(counts[s]) for s in Status})

@@ -150,6 +150,7 @@ def _read(tree: object, every: list[F]) -> object:
         return None
     if not isinstance(tree, str):
         raise ValueError(f"a number must be exact text, not {tree!r}")
+    # before Fraction reads it: writing 1e99999999 out would take all memory
     exponent = tree.lower().partition("e")[2]
     if len(exponent) > LONGEST_EXPONENT:
         raise ValueError(f"a number is too large or too small to be one of a recording: {tree[:40]}")
@@ -160,6 +161,7 @@ def _read(tree: object, every: list[F]) -> object:
 def rounded_up(x: F, precision: str = DOUBLE) -> F:
     """Return the smallest float of a type that is not below x."""
     unit, smallest = PRECISIONS[precision]
+    # the spacing of floats around x, from the number of bits alone: no float takes part
     top = F(2) ** (x.numerator.bit_length() - x.denominator.bit_length())  # |x| / 2 < top < 2 |x|
     if top > abs(x):
         top /= 2
@@ -171,6 +173,7 @@ def _inputs(model: Document, u: Sequence[Sequence[F | None]]) -> Sequence[Sequen
     """Return the inputs that outputs of the window depend on: the last sample's only where one acts at
     once.
     """
+    # a parameter may act on an output at once where its middle does not
     at_once = list(model["D"])
     for parameter in model["uncertainties"]:
         at_once += parameter["D"] or []

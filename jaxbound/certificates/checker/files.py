@@ -252,6 +252,7 @@ def _seconds(text: str) -> tuple[F, bool]:
     except ValueError:
         pass
     else:
+        # no run lasts 3 000 years: so large a number is in milliseconds, or finer
         finer = [unit for least, unit in EPOCHS if abs(number) >= least]
         return number / max(finer, default=1), False
     try:

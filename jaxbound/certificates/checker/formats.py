@@ -69,6 +69,7 @@ def _contradiction(c: Document, r: Document, lines: Sequence[Line]) -> str:
         x = sign * Polynomial.of(wanted.get(line.signal, 0)).at({})
         if line.signal[0] == "g":
             x = -left.terms.get((line.signal,), F(0))
+        # a reading has two lines: the one that this sign of its multiplier needs
         if x and (line.sense == "E" or (line.sense == "G") == (x > 0)):
             used[number] = x
             left = left + Polynomial({**line.terms, (): -line.end}) * x
@@ -121,6 +122,7 @@ def _lines(c: Document, parameters: Sequence[F] | None = None) -> Iterator[Line]
                 u[i] = value - c["offset_u"][i]
         t, after = moved(c, j, v, x, u, w, free)
         signals |= named(f"x{j}_", x) | named(f"y{j}_", t) | named(f"w{j}_", w)
+        # states are unknowns of their own with an equation each: substituted, lines would grow with time
         x = variables(f"x{j + 1}_", len(x))
         if j < len(c["u"]) - 1:
             for i, (new, of) in enumerate(zip(x, after, strict=True)):

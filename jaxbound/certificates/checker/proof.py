@@ -95,12 +95,14 @@ def _sensor_error(c: Document, e: Document) -> None:
     i = int(e["output"])
     used = _uses(c, e["relation"], i)
     if e["smallest"] is None:
+        # the relation holds whatever this sensor shows, so no error of it helps
         excluded = not used and _factor(c, e["relation"]) > 1
         insist(excluded, "an error of this sensor might explain the window")
         insist(e["enough"] is None and e["witness"] is None, "an error of this sensor cannot be enough")
         return
     insist(used, "the relation does not use this sensor")
     insist(_factor(c, e["relation"], (i, e["smallest"])) == 1, "a smaller error would explain the window")
+    # rounded up so that a witness has short numbers; far more would claim nothing
     close = 0 < e["smallest"] <= e["enough"] <= ROUNDED * e["smallest"]
     insist(close, "the error that is enough is not the smallest, rounded up")
     _explain(c, e["witness"], (i, e["enough"]))

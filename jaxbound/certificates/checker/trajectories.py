@@ -131,6 +131,7 @@ def limits(c: Document, error: Error = None) -> dict[str, Ends]:
     """Return {signal: (lo, hi)} of all that samples and bounds say; of the output of a gain that keeps its
     value those at gain 1, which count times the gain.
     """
+    # the recorder rounds by the largest reading of a signal, so all samples are read first
     rounded = _rounded(c, error)
     ends = named("x0_", list(map(tuple, c.get("first_state", []))))
     if "constant" in c:
