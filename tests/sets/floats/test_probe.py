@@ -311,6 +311,7 @@ def test_the_probe_measures_what_is_assumed(dtype):
     for count in (examined.FEW, examined.MANY):
         measured = examined.measure(jax.devices()[0], np.dtype(dtype), count)
         assert len(measured) == 11 and all(value <= most for value, most in measured.values()), measured
+        assert 0.75 < measured["error of a sum"][0] <= 1, "a CPU rounds a sum correctly"
 
 
 def test_every_public_name_is_known_to_prove_or_not():
