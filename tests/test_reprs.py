@@ -113,6 +113,12 @@ def things():
     return {type(thing): thing for thing in real}
 
 
+def test_public_values_are_frozen():
+    """A model, and what is fitted, which is one, refuse by themselves."""
+    values = [kind for kind in public_classes() if dataclasses.is_dataclass(kind)]
+    assert {v.__name__ for v in values if not v.__dataclass_params__.frozen} == {"LinearSystem", "Fitted"}
+
+
 class Tags(HTMLParser):
     """Tags of a page that were opened and not closed, and those that were closed and not open."""
 

@@ -9,9 +9,10 @@ from linear_programs import solver
 from scipy.optimize import linprog
 
 import jaxbound as jb
-from jaxbound.certificates.fault_size import Scale
+from jaxbound.certificates.fault_size import End, Scale
 from jaxbound.certificates.interface import certify
 from jaxbound.certificates.parameter_size import changed_window, found_size
+from jaxbound.certificates.supposed import Side
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.sets.floats.status import Status
 
@@ -370,3 +371,18 @@ def test_a_root_at_the_end_of_stated_sizes_is_no_exclusion():
     c = certify(jb.parity_relations(m, 0), np.zeros((1, 2)), np.array([[0.85]]))
     (found,) = c.diagnose([NamedFault("o", input="cool", least="1/3", most="1/2")]).explains
     assert found.size == Fraction(1, 2)
+
+
+def test_the_first_size_that_an_end_keeps_is_found_behind_its_kinks(rng):
+    """Against values on a fine grid: below the size that is found all are negative."""
+    number = lambda least: Fraction(int(rng.integers(least, 9)), 4)
+    behind = 0
+    for _ in range(40):
+        bent = [(number(1), Side(number(-8), number(-8), sigma=Fraction(1, 3))) for _ in range(2)]
+        end = End((), Side(number(-8), number(-8)), 1, bent)
+        found, kinks = end.next_kept(Fraction(0)), [-side.a / side.b for _, side in bent if side.b]
+        least = 9 if found is None else found
+        assert not [t for k in range(300) if (t := Fraction(k, 32)) < least and end.at(t) >= 0]
+        assert found is None or end.at(found) >= 0
+        behind += bool(found) and any(0 < kink < found for kink in kinks)
+    assert behind > 1

@@ -233,6 +233,10 @@ def test_the_checker_beside_jaxbound_sees_a_gap_that_no_name_tells(kind, tmp_pat
     assert document["certificate"] == "FAULT"
     codes = both_say(tmp_path, document)
     assert codes == ((0, 0) if kind in STEADY else (1, 1)), capsys.readouterr().err
+    if kind == "no gap":
+        (tmp_path / "d.csv").write_text(f"{called},y,date\n" + "\n".join(rows) + "\n")
+        assert both_say(tmp_path, document)[1] == 1
+        assert "Time [s] and date look like times" in capsys.readouterr().err
 
 
 def test_windows_of_a_model_with_tests_are_confirmed_by_the_model_of_their_report(at_rest, capsys):

@@ -145,5 +145,7 @@ def test_a_sensor_that_lost_gain_and_kept_its_noise_is_not_excluded(f):
     result = jb.detect(jb.parity_relations(m, 2), np.ones((40, 1)), np.asarray(run.y))
     fault = np.flatnonzero(result.status == Status.FAULT)
     for k in fault[:: len(fault) // 4]:
-        sizes = result.diagnose(int(k), faults=[jb.NamedFault("gain", output="a", kind="gain")]).sizes
-        assert sizes["gain"] is not None and abs(sizes["gain"]) <= abs(f) + 1e-9
+        found = result.diagnose(int(k), faults=[jb.NamedFault("gain", output="a", kind="gain")])
+        size = found.sizes["gain"]
+        assert size is not None and abs(size) <= abs(f) + 1e-9
+        assert found.shares["gain"] == abs(size), "beside all of it, as nothing else is stated"

@@ -203,3 +203,9 @@ def test_combinations_contradict_what_they_call_a_fault_in_exact_arithmetic(case
             assert value > width
             if margins[number] < 0:
                 assert Fraction(float(margins[number])) >= 1 - value / width
+    far = moved(case.centre, case.y, np.full(COUNT, 64.0)).astype(case.u.dtype)
+    margins, h = found(far)
+    for number in (beyond := np.flatnonzero(margins < 0)[::6]):  # rounding counts for little there
+        value, width = against(case, exact(case, far, number), [Fraction(float(x)) for x in h[:, number]])
+        assert 1 - value / width <= Fraction(float(margins[number])) <= (1 - value / width) / 2
+    assert len(beyond)

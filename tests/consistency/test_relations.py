@@ -84,18 +84,19 @@ def relations(request):
     return WINDOWS[name]()
 
 
-def test_a_family_has_every_declared_member(relations):
+def test_a_family_has_every_declared_member_and_the_names_of_its_signals(relations):
     assert isinstance(relations, Relations)
     for name, kind in DECLARED.items():
         assert isinstance(getattr(relations, name), kind), name
     assert isinstance(relations.text(), str)
-
-
-def test_a_model_has_the_names_of_its_signals(relations):
     for name, kind in SIGNALS.items():
         assert isinstance(getattr(relations.model, name), kind), name
     for signal in relations.model.outputs:
         assert relations.model.column(signal) and relations.model.unit(signal) == ""
+    for name in ("recording", "test", "reading", "with_bounds", "external", "internal", "text"):
+        declared = inspect.signature(getattr(Relations, name)).parameters
+        stated = inspect.signature(getattr(type(relations), name)).parameters
+        assert list(stated)[: len(declared)] == list(declared), name
 
 
 def test_every_method_makes_a_test_and_no_other_does(relations):
@@ -105,13 +106,6 @@ def test_every_method_makes_a_test_and_no_other_does(relations):
         assert test.horizon == relations.horizon
     with pytest.raises(ValueError, match="method|neither"):
         relations.test("no such method", np.float64)
-
-
-def test_an_override_keeps_the_names_of_the_arguments(relations):
-    for name in ("recording", "test", "reading", "with_bounds", "external", "internal", "text"):
-        declared = inspect.signature(getattr(Relations, name)).parameters
-        stated = inspect.signature(getattr(type(relations), name)).parameters
-        assert list(stated)[: len(declared)] == list(declared), name
 
 
 @pytest.mark.parametrize("name", OBSERVERS)

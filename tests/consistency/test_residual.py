@@ -158,11 +158,10 @@ def test_relation_texts_bounds_and_nominal_residuals():
         jb.detect(r, np.zeros((3, 1)), y).counts["FAULT"] == 2
         and jb.detect(wider, np.zeros((3, 1)), y).counts["CONSISTENT"] == 2
     )
-    external = np.asarray(r.external(np.zeros((3, 1)), y))
-    assert (
-        np.isnan(external[0]).all()
-        and abs(external[1:, 0] - [0.9 - 0.5625, 0.2 - 0.9 - 0.0225]).max() < 1e-12
-    )
+    u, y = np.array([[0.0], [0.1], [0.2], [0.3]]), np.array([[0.5], [0.9], [0.2], [0.4]])
+    external, before = np.asarray(r.external(u, y)), y[:-1]
+    assert np.isnan(external[0]).all()
+    assert abs(external[1:] - (y[1:] - before - before * (1 - before) / 4 - u[:-1])).max() < 1e-12
 
 
 def test_the_nominal_residual_of_a_plant_without_inputs():

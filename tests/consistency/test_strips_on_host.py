@@ -8,7 +8,7 @@ from boundary import GUST, LEAK, prepared
 from oracles import MODELS
 
 import jaxbound as jb
-from jaxbound.consistency.check import contradicted_by
+from jaxbound.consistency.check import HostImage, contradicted_by, explained
 from jaxbound.consistency.strips_on_host import host_strips
 
 SHORT = {
@@ -96,3 +96,13 @@ def test_multipliers_whose_sums_overflow_prove_nothing(rng):
         h = 1e299 * rng.normal(size=(len(reading.frame.R), 1))
         with np.errstate(all="ignore"):
             assert not contradicted_by(reading, u, y, h).any()
+
+
+def test_no_window_is_explained_nearer_to_a_bound_than_rounding_reaches():
+    """|d + u| <= 1 at d = 5, and what rounding takes of either term adds up: 1e-3 (5 + |u|)."""
+    one, zero, no = np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1), bool)
+    lo, hi = np.array([[-1.0], [4.0]]), np.array([[1.0], [6.0]])
+    sizes = dict(off=zero, size=zero, magnitude=zero, gamma=1e-3, floor=zero[0])
+    for u, inside in ((-5.5, True), (-5.985, True), (-5.995, False), (-4.005, False)):
+        image = HostImage(one, one, lo, hi, ~np.vstack([no, no]), known=u * one, lost=no, most=0, **sizes)
+        assert explained(image, zero) == inside

@@ -9,7 +9,7 @@ import pytest
 from oracles import Program
 
 from jaxbound.exact import chebyshev as module
-from jaxbound.exact.chebyshev import chebyshev, likely_point
+from jaxbound.exact.chebyshev import chebyshev, likely_point, nearest
 
 
 def draw(rng, rows, unknowns, digits=2):
@@ -89,6 +89,8 @@ def test_as_many_rows_as_unknowns_fit_whatever_they_are(rng):
     best = chebyshev(E, b, r)
     assert best.t == 0 and not any(best.h)
     assert all(sum(x * y for x, y in zip(row, best.z, strict=True)) == v for row, v in zip(E, b, strict=True))
+    near = nearest(np.array(E, float), np.array(b, float))
+    assert near.t == 0 and near.z == pytest.approx(np.array(best.z, float))
 
 
 def test_radii_of_any_size(rng):

@@ -169,30 +169,31 @@ def test_matrix_refuses_ragged_rows():
 # linear algebra
 
 
-@pytest.mark.parametrize("trial", range(40))
-def test_row_reduce_agrees_with_flint(rng, trial):
-    a = linalg.matrix(small_matrix(rng))
-    reduced, rank = as_flint(a, len(a[0])).rref()
-    ours, pivots = linalg.row_reduce(a)
-    theirs = [
-        [Fraction(int(reduced[i, j].p), int(reduced[i, j].q)) for j in range(len(a[0]))] for i in range(rank)
-    ]
-    assert [list(r) for r in ours] == theirs and len(pivots) == rank == linalg.rank(a)
+def test_row_reduce_agrees_with_flint(rng):
+    for _ in range(40):
+        a = linalg.matrix(small_matrix(rng))
+        reduced, rank = as_flint(a, len(a[0])).rref()
+        ours, pivots = linalg.row_reduce(a)
+        theirs = [
+            [Fraction(int(reduced[i, j].p), int(reduced[i, j].q)) for j in range(len(a[0]))]
+            for i in range(rank)
+        ]
+        assert [list(r) for r in ours] == theirs and len(pivots) == rank == linalg.rank(a)
 
 
-@pytest.mark.parametrize("trial", range(40))
-def test_left_null_space_is_a_basis_of_all_that_annihilates(rng, trial):
-    rows = small_matrix(rng)
-    a = linalg.matrix(rows)
-    W = linalg.left_null_space(a)
-    assert len(W) == len(left_null_vectors(rows)) == len(a) - linalg.rank(a)
-    assert not W or is_zero(linalg.matmul(W, a)) and flint_rank(W, len(a)) == len(W)
+def test_left_null_space_is_a_basis_of_all_that_annihilates(rng):
+    for _ in range(40):
+        rows = small_matrix(rng)
+        a = linalg.matrix(rows)
+        W = linalg.left_null_space(a)
+        assert len(W) == len(left_null_vectors(rows)) == len(a) - linalg.rank(a)
+        assert not W or is_zero(linalg.matmul(W, a)) and flint_rank(W, len(a)) == len(W)
 
 
-@pytest.mark.parametrize("trial", range(10))
-def test_inverse_times_the_matrix_is_the_identity(rng, trial):
-    a = linalg.matrix((rng.integers(-5, 6, (4, 4)) + 20 * np.eye(4, dtype=int)).tolist())
-    assert linalg.matmul(linalg.inverse(a), a) == linalg.matrix(np.eye(4, dtype=int))
+def test_inverse_times_the_matrix_is_the_identity(rng):
+    for _ in range(10):
+        a = linalg.matrix((rng.integers(-5, 6, (4, 4)) + 20 * np.eye(4, dtype=int)).tolist())
+        assert linalg.matmul(linalg.inverse(a), a) == linalg.matrix(np.eye(4, dtype=int))
 
 
 def test_inverse_refuses_a_singular_matrix():
@@ -206,13 +207,14 @@ def test_inverse_refuses_a_matrix_that_is_not_square(a):
         linalg.inverse(linalg.matrix(a))
 
 
-@pytest.mark.parametrize("trial", range(10))
-def test_matmul_agrees_with_flint(rng, trial):
-    fractions = lambda: [
-        [Fraction(int(n), int(d)) for n, d in zip(*rng.integers(1, 9, (2, 3)), strict=True)] for _ in range(3)
-    ]
-    a, b = linalg.matrix(fractions()), linalg.matrix(fractions())
-    assert as_flint(linalg.matmul(a, b), 3) == as_flint(a, 3) * as_flint(b, 3)
+def test_matmul_agrees_with_flint(rng):
+    for _ in range(10):
+        fractions = lambda: [
+            [Fraction(int(n), int(d)) for n, d in zip(*rng.integers(1, 9, (2, 3)), strict=True)]
+            for _ in range(3)
+        ]
+        a, b = linalg.matrix(fractions()), linalg.matrix(fractions())
+        assert as_flint(linalg.matmul(a, b), 3) == as_flint(a, 3) * as_flint(b, 3)
 
 
 def test_matmul_refuses_shapes_that_do_not_fit():
@@ -239,28 +241,30 @@ def test_minimal_span_gives_the_relations_of_the_paper():
     assert W == linalg.matrix([[1, -5, 5, 0], [0, 4, -10, 5]])
 
 
-@pytest.mark.parametrize("trial", range(40))
-def test_minimal_span_keeps_the_row_space_with_different_starts_and_ends(rng, trial):
-    a = linalg.matrix(rng.integers(-2, 3, (rng.integers(1, 5), rng.integers(1, 7))).tolist())
-    W = linalg.minimal_span(a)
-    assert len(W) == linalg.rank(a) == linalg.rank([*a, *W])
-    spans = [[j for j, x in enumerate(row) if x] for row in W]
-    assert len({s[0] for s in spans}) == len({s[-1] for s in spans}) == len(W)
-    assert [s[0] for s in spans] == sorted(s[0] for s in spans)
-    assert all(x.denominator == 1 for row in W for x in row) and all(gcd(*map(int, row)) == 1 for row in W)
+def test_minimal_span_keeps_the_row_space_with_different_starts_and_ends(rng):
+    for _ in range(40):
+        a = linalg.matrix(rng.integers(-2, 3, (rng.integers(1, 5), rng.integers(1, 7))).tolist())
+        W = linalg.minimal_span(a)
+        assert len(W) == linalg.rank(a) == linalg.rank([*a, *W])
+        spans = [[j for j, x in enumerate(row) if x] for row in W]
+        assert len({s[0] for s in spans}) == len({s[-1] for s in spans}) == len(W)
+        assert [s[0] for s in spans] == sorted(s[0] for s in spans)
+        assert all(x.denominator == 1 for row in W for x in row) and all(
+            gcd(*map(int, row)) == 1 for row in W
+        )
 
 
-@pytest.mark.parametrize("trial", range(10))
-def test_no_basis_spans_fewer_columns_than_the_minimal_one(rng, trial):
-    a = linalg.matrix(rng.integers(-2, 3, (3, 6)).tolist())
-    W = linalg.minimal_span(a)
-    span = lambda row: max(j for j, x in enumerate(row) if x) - min(j for j, x in enumerate(row) if x)
-    best = sum(map(span, W))
-    mixtures = [
-        linalg.matmul(linalg.matrix(rng.integers(-2, 3, (len(W), len(W))).tolist()), W) for _ in range(30)
-    ]
-    bases = [mixed for mixed in mixtures if linalg.rank(mixed) == len(W)]
-    assert bases and min(sum(map(span, basis)) for basis in bases) >= best
+def test_no_basis_spans_fewer_columns_than_the_minimal_one(rng):
+    for _ in range(10):
+        a = linalg.matrix(rng.integers(-2, 3, (3, 6)).tolist())
+        W = linalg.minimal_span(a)
+        span = lambda row: max(j for j, x in enumerate(row) if x) - min(j for j, x in enumerate(row) if x)
+        best = sum(map(span, W))
+        mixtures = [
+            linalg.matmul(linalg.matrix(rng.integers(-2, 3, (len(W), len(W))).tolist()), W) for _ in range(30)
+        ]
+        bases = [mixed for mixed in mixtures if linalg.rank(mixed) == len(W)]
+        assert bases and min(sum(map(span, basis)) for basis in bases) >= best
 
 
 # circuits
@@ -286,14 +290,14 @@ def test_the_paper_system_has_as_many_circuits_as_subsets_of_n_plus_1_rows(horiz
     assert is_zero(linalg.matmul(found, rows))
 
 
-@pytest.mark.parametrize("trial", range(60))
-def test_circuits_are_all_minimal_dependencies_found_by_brute_force(rng, trial):
-    rows = small_matrix(rng)
-    found, want = circuits(linalg.matrix(rows)), brute_circuits(rows)
-    supports = [tuple(i for i, x in enumerate(h) if x) for h in found]
-    assert supports == sorted(want)
-    for h, support in zip(found, supports, strict=True):
-        assert proportional([h[i] for i in support], want[support]) and h == linalg.primitive(h)
+def test_circuits_are_all_minimal_dependencies_found_by_brute_force(rng):
+    for _ in range(60):
+        rows = small_matrix(rng)
+        found, want = circuits(linalg.matrix(rows)), brute_circuits(rows)
+        supports = [tuple(i for i, x in enumerate(h) if x) for h in found]
+        assert supports == sorted(want)
+        for h, support in zip(found, supports, strict=True):
+            assert proportional([h[i] for i in support], want[support]) and h == linalg.primitive(h)
 
 
 def test_circuits_of_fractions_are_those_of_the_scaled_rows(rng):

@@ -175,7 +175,8 @@ class TestMissing:
 
     def test_masked_columns_of_a_dict_are_missing(self):
         given = {"valve": U[:, 0], "level": np.ma.masked_equal(Y[:, 0], 4.0), "flow": Y[:, 1]}
-        assert np.argwhere(np.isnan(Recording.of(MODEL, given).y)).tolist() == [[2, 0]]
+        found = Recording.of(MODEL, given)
+        assert np.argwhere(np.isnan(found.y)).tolist() == [[2, 0]] and "1 samples of outputs" in repr(found)
 
 
 class TestTime:

@@ -311,6 +311,7 @@ def test_the_probe_measures_what_is_assumed(dtype):
     for count in (examined.FEW, examined.MANY):
         measured = examined.measure(jax.devices()[0], np.dtype(dtype), count)
         assert len(measured) == 11 and all(value <= most for value, most in measured.values()), measured
+        assert 0.75 < measured["error of a sum"][0] <= 1, "a CPU rounds a sum correctly"
 
 
 def test_every_public_name_is_known_to_prove_or_not():
@@ -454,7 +455,7 @@ def test_quotients_are_widened_by_six_units_beside_a_coarse_card(monkeypatch, co
     lo, hi = rounding.outward(one, one)
     u = float(rounding.unit(dtype))
     assert float(hi) - 1 == pytest.approx(units * u, abs=2 * u)
-    assert 1 - float(lo) == pytest.approx(units * u, abs=u)
+    assert units * u <= 1 - float(lo) < (units + 0.5) * u
     assert kinds.most_of_a_quotient(Card(), dtype) == (4.84 if dtype == np.float32 else 2.84)
 
 
@@ -465,13 +466,18 @@ def test_a_card_proves_once_its_user_examined_it_with_this_driver_and_these_vers
     card = Examined()
     monkeypatch.setattr(probe, "usable_devices", lambda: (card,))
     monkeypatch.setattr(probe, "is_cpu_default", lambda: False)
-    monkeypatch.setattr(examined, "measure", lambda *given: {"NaN that are lost": (3.0, 0)})
+    measured = {"NaN that are lost": (3.0, 0)}
+    monkeypatch.setattr(examined, "measure", lambda *given: measured)
     forget()
     (words,) = probe.examined_devices().values()
     assert "NaN that are lost: 3" in words and probe._doubt(card) and probe.searching_device()
-    monkeypatch.setattr(examined, "measure", lambda *given: {"NaN that are lost": (0.0, 0)})
-    assert probe.examined_devices() == {"NVIDIA H100 80GB HBM3 (NVIDIA 9.0)": ""}
-    assert not probe._doubt(card) and not probe.searching_device()
+    for _ in range(2):  # again, where a process found it broken after all
+        measured["NaN that are lost"] = (3.0, 0)
+        forget()
+        assert probe._doubt(card)
+        measured["NaN that are lost"] = (0.0, 0)
+        assert probe.examined_devices() == {"NVIDIA H100 80GB HBM3 (NVIDIA 9.0)": ""}
+        assert not probe._doubt(card) and not probe.searching_device()
     (record,) = (tmp_path / "jaxbound" / "examined").iterdir()
     for damaged in (b"", record.read_bytes().replace(b"H100", b"H900")):
         kept = record.read_bytes()

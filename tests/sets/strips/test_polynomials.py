@@ -10,6 +10,7 @@ from jaxbound.sets.floats.kernel import kernel
 from jaxbound.sets.strips import polynomials
 
 EXPONENTS = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (1, 1, 0), (0, 1, 2), (1, 1, 1))
+CUBE = ((0, 0, 0), (3, 0, 0))
 PLAIN = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 1, 1))
 KERNELS = {
     name: kernel(f, static_argnums=3)
@@ -85,19 +86,26 @@ def test_the_image_of_a_box_holds_every_value(rng, whole, dtype):
 
 
 def test_slopes_are_the_derivatives_and_bend_bounds_their_change(rng):
-    value, spread, rad, error = draw(rng, EXPONENTS)
-    z, other = (rng.integers(-16, 17, (5, value.shape[2])) / 16 for _ in range(2))
-    p, J, bend = (np.asarray(x) for x in KERNELS["slopes"](value, spread, rad, EXPONENTS, z))
-    for k in range(value.shape[2]):
-        at = lambda x, k=k: [Fraction(float(v)) for v in x[:, k]]
-        wanted, slope = exact(value[..., k], spread, rad[:, k], EXPONENTS, at(z)[:3], at(z)[3:])
-        _, there = exact(value[..., k], spread, rad[:, k], EXPONENTS, at(other)[:3], at(other)[3:])
-        far = max(abs(a - b) for a, b in zip(at(z), at(other), strict=True))
-        for i in range(2):
-            assert abs(wanted[i] - Fraction(float(p[i, k]))) <= Fraction(float(error[i, k]))
-            for j in range(5):
-                assert abs(slope[i][j] - Fraction(float(J[i, j, k]))) <= 3 * Fraction(float(error[i, k]))
-                assert abs(slope[i][j] - there[i][j]) <= far * Fraction(float(bend[i, k]))
+    """Of a cube times noises alone, at a corner, they change nearly as much as the bound allows."""
+    for exponents, other in (
+        (EXPONENTS, rng.integers(-16, 17, (5, 6)) / 16),
+        (CUBE, np.full((5, 6), 15 / 16)),
+    ):
+        value, spread, rad, error = draw(rng, exponents)
+        z = rng.integers(-16, 17, other.shape) / 16
+        if exponents is CUBE:
+            value, spread, z = 0 * value, abs(spread) * [[0], [1]], np.ones(z.shape)
+        p, J, bend = (np.asarray(x) for x in KERNELS["slopes"](value, spread, rad, exponents, z))
+        for k in range(value.shape[2]):
+            at = lambda x, k=k: [Fraction(float(v)) for v in x[:, k]]
+            wanted, slope = exact(value[..., k], spread, rad[:, k], exponents, at(z)[:3], at(z)[3:])
+            _, there = exact(value[..., k], spread, rad[:, k], exponents, at(other)[:3], at(other)[3:])
+            far = max(abs(a - b) for a, b in zip(at(z), at(other), strict=True))
+            for i in range(2):
+                assert abs(wanted[i] - Fraction(float(p[i, k]))) <= Fraction(float(error[i, k]))
+                for j in range(5):
+                    assert abs(slope[i][j] - Fraction(float(J[i, j, k]))) <= 3 * Fraction(float(error[i, k]))
+                    assert abs(slope[i][j] - there[i][j]) <= far * Fraction(float(bend[i, k]))
 
 
 def test_a_multiaffine_range_is_that_of_its_vertices(rng):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.sets.floats.kernel import kernel
-from jaxbound.sets.strips.strips import Strips, strip_margin
+from jaxbound.sets.strips.strips import Strips, strip_margin, strip_verdict
 
 margin = kernel(strip_margin)
 CIRCUITS, ROWS, WINDOWS = 9, 3, 5
@@ -31,6 +31,15 @@ def test_many_known_values_count_as_in_the_formula(rng):
         found = margin(own, mid, rad, known)
         assert np.flatnonzero(np.isnan(found)).tolist() == missing
         np.testing.assert_allclose(found, 1 - gauge, rtol=1e-12, atol=1e-12)
+
+
+def test_what_underflow_may_take_decides_nothing():
+    """|x| <= 2 of the smallest normal numbers: each product may lose one."""
+    tiny, one = np.finfo(float).tiny, np.ones((1, 1))
+    mid, none = tiny * np.array([[0.0, 1, 3, 1e9, -1e9]]), np.zeros((0, 5))
+    given = Strips(np.zeros((1, 1), np.int32), one, np.zeros((1, 0)), None)
+    found = kernel(strip_verdict)(given, mid, 2 * tiny + 0 * mid, abs(mid), none, none, 1.0)
+    assert np.sign(found).tolist() == [0, 0, 0, -1, -1]
 
 
 def test_the_program_does_not_grow_with_the_number_of_known_values(rng):

@@ -47,28 +47,29 @@ def signed(normal):
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-@pytest.mark.parametrize("trial", range(25))
-def test_strips_of_a_solid_zonotope_are_the_nearest_floats_to_the_exact_ones(rng, trial, n):
-    G = degenerate(rng, n, rng.integers(n, 6))
-    if np.linalg.matrix_rank(G) < n:
-        G = np.hstack([G, np.eye(n, dtype=int)])
-    want = {tuple(map(float, row)) for row in brute_strips(G)}
-    normals, widths = sets.strips(factory(np.zeros(n), G * 1.0))
-    assert {
-        (*signed(row), w) for row, w in zip(normals.tolist(), widths.tolist(), strict=True)
-    } == want and len(widths) == len(want)
+def test_strips_of_a_solid_zonotope_are_the_nearest_floats_to_the_exact_ones(rng, n):
+    for _ in range(25):
+        G = degenerate(rng, n, rng.integers(n, 6))
+        if np.linalg.matrix_rank(G) < n:
+            G = np.hstack([G, np.eye(n, dtype=int)])
+        want = {tuple(map(float, row)) for row in brute_strips(G)}
+        normals, widths = sets.strips(factory(np.zeros(n), G * 1.0))
+        assert {
+            (*signed(row), w) for row, w in zip(normals.tolist(), widths.tolist(), strict=True)
+        } == want and len(widths) == len(want)
 
 
-@pytest.mark.parametrize("trial", range(25))
-def test_a_flat_zonotope_has_as_many_zero_strips_as_dimensions_missing(rng, trial):
-    n, q = rng.integers(2, 5), rng.integers(1, 4)
-    G = degenerate(rng, n, q)
-    normals, widths = sets.strips(factory(np.zeros(n), G * 1.0))
-    missing = n - np.linalg.matrix_rank(G)
-    assert (widths == 0).sum() == missing and (widths[len(widths) - missing :] == 0).all()
-    assert (
-        abs(normals[len(widths) - missing :] @ G).max(initial=0) < 1e-12 and (abs(normals).max(1) == 1).all()
-    )
+def test_a_flat_zonotope_has_as_many_zero_strips_as_dimensions_missing(rng):
+    for _ in range(25):
+        n, q = rng.integers(2, 5), rng.integers(1, 4)
+        G = degenerate(rng, n, q)
+        normals, widths = sets.strips(factory(np.zeros(n), G * 1.0))
+        missing = n - np.linalg.matrix_rank(G)
+        assert (widths == 0).sum() == missing and (widths[len(widths) - missing :] == 0).all()
+        assert (
+            abs(normals[len(widths) - missing :] @ G).max(initial=0) < 1e-12
+            and (abs(normals).max(1) == 1).all()
+        )
 
 
 def test_a_point_has_one_zero_strip_a_dimension():
@@ -87,24 +88,24 @@ def test_strips_of_decimal_generators_are_those_of_the_exact_floats():
 # margins
 
 
-@pytest.mark.parametrize("trial", range(30))
-def test_margins_are_one_minus_the_gauge_of_the_linear_program(rng, trial):
-    n = rng.integers(1, 4)
-    q = rng.integers(1, 6)
-    G = degenerate(rng, n, q) * 0.25
-    solid = np.linalg.matrix_rank(G) == n
-    G = G * rng.choice([1.0, 0.1, 1 / 3]) if solid else G  # rounding would make a flat one solid
-    center = rng.normal(size=n).round(3)
-    points = np.vstack([rng.uniform(-1.5, 1.5, (4, q)) @ G.T, rng.normal(size=(2, n)) * 4])
-    got = sets.membership(factory(center, G), center + points)
-    for m, p in zip(got, points, strict=True):
-        gauge = program(G, p)
-        if solid:
-            assert abs(1 - m - gauge) <= 1e-7 * (1 + gauge) and (m > 0) == (gauge < 1)
-        # exact floats seldom lie in the plane: outside is -inf or beyond the gauge, inside is never proved
-        else:
-            assert m <= 0 and (m == -np.inf or m == 0 or abs(1 - m - gauge) <= 1e-7 * (1 + gauge))
-            assert gauge < np.inf or m == -np.inf
+def test_margins_are_one_minus_the_gauge_of_the_linear_program(rng):
+    for _ in range(30):
+        n = rng.integers(1, 4)
+        q = rng.integers(1, 6)
+        G = degenerate(rng, n, q) * 0.25
+        solid = np.linalg.matrix_rank(G) == n
+        G = G * rng.choice([1.0, 0.1, 1 / 3]) if solid else G  # rounding would make a flat one solid
+        center = rng.normal(size=n).round(3)
+        points = np.vstack([rng.uniform(-1.5, 1.5, (4, q)) @ G.T, rng.normal(size=(2, n)) * 4])
+        got = sets.membership(factory(center, G), center + points)
+        for m, p in zip(got, points, strict=True):
+            gauge = program(G, p)
+            if solid:
+                assert abs(1 - m - gauge) <= 1e-7 * (1 + gauge) and (m > 0) == (gauge < 1)
+            # exact floats seldom lie in the plane: outside is -inf or past the gauge, inside is never proved
+            else:
+                assert m <= 0 and (m == -np.inf or m == 0 or abs(1 - m - gauge) <= 1e-7 * (1 + gauge))
+                assert gauge < np.inf or m == -np.inf
 
 
 def integer_gauge(G, p):
