@@ -131,22 +131,23 @@ class ExchangeTest(SignedTest):
 
     def settle(self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, progress: Progress) -> None:
         """Decide in whole numbers what rounding leaves open far from the boundary, and in NumPy what the
-        search does: as where all windows are searched there.
+        search does, be it the size of a margin: as where all windows are searched there.
         """
         (margin,) = outs
         starts = np.flatnonzero(margin == 0) - self.horizon
-        if not len(starts):
-            return
-        lacking = self._lacking(u, y, starts)
-        some = starts[lacking | thin(self.reading, *self._gather(u, y, starts))]
-        margin[some + self.horizon] = self.exactly(u, y, some)
+        if len(starts):
+            some = self._lacking(u, y, starts) | thin(self.reading, *self._gather(u, y, starts))
+            margin[starts[some] + self.horizon] = self.exactly(u, y, starts[some])
         if is_outside_xla():  # all windows were searched in NumPy
             return
-        left = starts[~lacking & (margin[starts + self.horizon] == 0)]
-        for first in range(0, len(left), TOGETHER):
-            part = left[first : first + TOGETHER]
-            windows = gather(u, y, part, self.lags, self.horizon)
-            margin[part + self.horizon] = self._holes.searched(*windows)
+        # a search that ended at its last step may know a sign, and no size
+        open_ = np.union1d(left, np.flatnonzero(margin == 0) - self.horizon)
+        open_ = open_[~self._lacking(u, y, open_)]
+        for first in range(0, len(open_), TOGETHER):
+            part = open_[first : first + TOGETHER]
+            searched = self._holes.searched(*gather(u, y, part, self.lags, self.horizon))
+            ends = part + self.horizon
+            margin[ends] = np.where(searched == 0, margin[ends], searched)
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""

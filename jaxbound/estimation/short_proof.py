@@ -16,6 +16,8 @@ from jaxbound.sets.floats.status import Status
 
 LONGEST = 512
 """Steps of the longest window that a certificate speaks of."""
+AVERAGED = 64
+"""Of the longest whose averages count: a stretch of samples knows no bounds on averages."""
 
 
 class ObservedResult(Judgement, Protocol):
@@ -61,7 +63,8 @@ def short_proof(
             break
         with suppress(NotImplementedError, ValueError):  # of these samples alone nothing is proved
             about: Any = stretch(model, h, first)
-            if model.uncertainties:  # relations alone know these; kernels say sooner than fractions: nothing
+            # relations alone know these; kernels say sooner than fractions: nothing
+            if model.uncertainties or (model.averages and h <= AVERAGED):
                 about, recording = parity_relations(model, h).recording(u[k - h :], y[k - h :])
                 if drive(about.test("joint", y.dtype), recording).status[-1] != Status.FAULT:
                     continue
