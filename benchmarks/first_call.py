@@ -210,7 +210,7 @@ COMMANDS = {
     "detect": "detect model.toml run.csv --out report",
     "detect, validation": "detect model.toml run.csv --out validated --method validation",
     "explain": "explain report --at 210",
-    "fit": "fit good.csv --inputs u1 --outputs y1,y2 --horizon 15 --out fitted.toml --force",
+    "fit": "fit good.csv --inputs u1 --outputs y1,y2 --recipe horizon=15 --out fitted.toml --force",
     "tune": "tune model.toml good.csv --out tuned.toml --force",
     "study": "study model.toml --faults y1:bias --n 2000 --out study",
 }

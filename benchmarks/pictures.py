@@ -73,7 +73,7 @@ TREE = (
     (
         "faults of an uncertain plant",
         "an observer: everything since the start",
-        "detect ... --method observer",
+        "detect ... --test observer=joint",
     ),
 )
 """(fault, test, command) of each box."""

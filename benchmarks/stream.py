@@ -85,7 +85,7 @@ def with_gaps(data, model):
 def command(data, horizon, *options):
     program = shutil.which("jaxbound", path=Path(sys.executable).parent)
     program = [program] if program else [sys.executable, "-m", "jaxbound.cli"]
-    windows = () if horizon is None else ("--horizon", str(horizon))
+    windows = () if horizon is None else ("--test", f"horizon={horizon}")
     return [
         *program,
         "detect",

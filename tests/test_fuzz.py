@@ -163,10 +163,8 @@ def test_any_bytes_as_a_recording_are_refused_in_a_sentence(here, capsys, data):
                 here / "x.csv",
                 "--outputs",
                 "level",
-                "--order",
-                "1",
-                "--horizon",
-                "3",
+                "--recipe",
+                "order=1,horizon=3",
                 "--out",
                 here / "f.toml",
             ],
@@ -299,10 +297,10 @@ def test_paths_that_are_no_files_are_refused_in_a_sentence(here, capsys):
 
 def test_options_of_any_size_are_refused_in_a_sentence(here, capsys):
     m, r, endless = here / "m.toml", here / "r.csv", "9" * 30
-    for option in ("--horizon", "--chunk"):
-        assert refused(capsys, ["detect", m, r, "--out", here / "o", option, endless]) == 2
+    for option in (["--test", f"horizon={endless}"], ["--chunk", endless], ["--alarm", f"hold={endless}"]):
+        assert refused(capsys, ["detect", m, r, "--out", here / "o", *option]) == 2
     for option, value in (
-        ("--horizon", endless),
+        ("--test", f"horizon={endless}"),
         ("--steps", "x"),
         ("--safety", "nan"),
         ("--calibrate", "2"),
@@ -310,8 +308,8 @@ def test_options_of_any_size_are_refused_in_a_sentence(here, capsys):
     ):
         assert refused(capsys, ["tune", m, r, "--out", here / "t.toml", option, value]) == 2
     for option, value in (
-        ("--order", endless),
-        ("--horizon", endless),
+        ("--recipe", f"order={endless}"),
+        ("--recipe", f"horizon={endless}"),
         ("--dt", "-1"),
         ("--dt", "nan"),
         ("--safety", "inf"),
@@ -319,19 +317,19 @@ def test_options_of_any_size_are_refused_in_a_sentence(here, capsys):
     ):
         assert refused(capsys, ["fit", r, "--outputs", "level", "--out", here / "f.toml", option, value]) == 2
     for option, value in (
-        ("--samples", endless),
+        ("--scenario", f"samples={endless}"),
         ("--sizes", f"0:1:{endless}"),
-        ("--horizon", endless),
-        ("--onset", "nan:1"),
-        ("--input-range", "inf:1"),
+        ("--test", f"horizon={endless}"),
+        ("--scenario", "onset=nan:1"),
+        ("--scenario", "input_range=inf:1"),
         ("--faults", "x" * 100_000),
-        ("--at", "\x1b[2J"),
-        ("--hold", "0"),
+        ("--scenario", "at=\x1b[2J"),
+        ("--scenario", "hold=0"),
     ):
         assert (
             refused(capsys, ["study", m, "--faults", "level:bias", "--out", here / "s", option, value]) == 2
         )
-    assert refused(capsys, ["info", m, "--horizon", endless]) == 2
+    assert refused(capsys, ["info", m, "--test", f"horizon={endless}"]) == 2
     assert refused(capsys, ["explain", here, "--at", endless]) == 2
     assert refused(capsys, ["\x1b[2J" * 1000]) == 2
 
@@ -353,4 +351,4 @@ def test_many_more_model_files_and_recordings_give_a_page_or_a_sentence(here, ca
             )
         with tempfile.NamedTemporaryFile(suffix=".csv") as f:
             f.write(data), f.flush()
-            refused(capsys, ["detect", here / "m.toml", f.name, "--out", here / "out", "--horizon", "2"])
+            refused(capsys, ["detect", here / "m.toml", f.name, "--out", here / "out", "--test", "horizon=2"])

@@ -43,8 +43,8 @@ def test_temperature_lab(safety, least, shell, shared, tmp_path):
         "Q1=Heater 1,Q2=Heater 2",
         "--outputs",
         "T1=Temperature 1,T2=Temperature 2",
-        "--horizon",
-        14,
+        "--recipe",
+        "horizon=14",
     )
     assert shell("fit", prbs, "first.csv", *signals, "--out", "lab.toml") == 0
     assert shell("tune", "lab.toml", prbs, "first.csv", "--safety", safety, "--out", "tuned.toml") == 0
@@ -86,7 +86,7 @@ def test_air_handling_unit(shell, shared, tmp_path, method):
     )
     flow = f"flow={fan}*({name('Supply Air Temperature')}-{name('Mixed Air Temperature')})"
     occupied = f"`Occupancy Mode Indicator`==1 and {name('Supply Air Fan Status')}==1"
-    options = "--order", 2, "--direct", "--horizon", 30, "--method", method, "--where", occupied
+    options = "--recipe", f"order=2,direct=true,horizon=30,method={method}", "--where", occupied
     assert (
         shell("fit", "20.csv", "21.csv", "--inputs", inputs, "--outputs", flow, *options, "--out", "ahu.toml")
         == 0

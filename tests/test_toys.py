@@ -220,6 +220,17 @@ def test_the_page_on_extending_runs_as_it_stands(tmp_path, monkeypatch):
 
 
 def test_the_shell_studies(method, folder):
-    about = "--method", method, "--faults", "y1:bias", "--sizes", "0.1,20", "--n", "20", "--samples", "20"
+    about = (
+        "--method",
+        method,
+        "--faults",
+        "y1:bias",
+        "--sizes",
+        "0.1,20",
+        "--n",
+        "20",
+        "--scenario",
+        "samples=20",
+    )
     code, out, err = shell("study", folder / "model.toml", *about, "--out", folder / "out")
     assert code == 0, err

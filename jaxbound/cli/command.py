@@ -12,8 +12,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NoReturn, Protocol
 
+from jaxbound.cli.fields import moved
 from jaxbound.cli.options import Options, add_loudness
-from jaxbound.cli.terminal import Refused, write
+from jaxbound.cli.terminal import Refused, say, write
 
 EXIT_CODES = (
     "exit codes: 0 no fault, 1 fault found, 2 bad input or usage, 3 too little evidence or outside bounds "
@@ -59,6 +60,32 @@ class Formatter(argparse.HelpFormatter):
         return "\n\n".join(paragraphs)
 
 
+class Help(argparse.Action):
+    """Prints the help of a command and ends; options that are rare only where it is asked for all.
+
+    Args:
+        option_strings, dest, help: of `argparse.Action`. rare: names of options.
+    """
+
+    def __init__(self, option_strings: Sequence[str], dest: str, rare: Sequence[str], help: str) -> None:
+        super().__init__(option_strings, dest, nargs="?", metavar="all", default=argparse.SUPPRESS, help=help)
+        self.rare = rare
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        option: str | None = None,
+    ) -> NoReturn:
+        """Print the help."""
+        for action in parser._actions:
+            if values != self.metavar and action.dest in self.rare:
+                action.help = argparse.SUPPRESS
+        parser.print_help()
+        parser.exit()
+
+
 class Parser(argparse.ArgumentParser):
     """Reports wrong usage in one sentence."""
 
@@ -86,6 +113,8 @@ class Parser(argparse.ArgumentParser):
             if left:
                 raise Refused(f"{self.prog} has no use for {' '.join(left)}; see {self.prog} --help")
             parsed.words = words
+            if sentence := moved(parsed):
+                say(sentence)
         return parsed, left
 
     @property
@@ -105,14 +134,19 @@ class Parser(argparse.ArgumentParser):
         raise Refused(f"there is no command {name!r}{nearest(name, self.commands)}; see {self.prog} --help")
 
     def _refuse_unknown_option(self, words: list[str]) -> None:
-        options = [option for action in self._actions for option in action.option_strings]
+        options: list[str] = []
+        shown: list[str] = []
+        for action in self._actions:
+            options += action.option_strings
+            if action.help != argparse.SUPPRESS:
+                shown += action.option_strings
         for word in words:
             if word == "--":  # what follows are no options
                 return
             name = word.partition("=")[0]
             is_option = name.startswith("--") and " " not in name
             if is_option and not any(option.startswith(name) for option in options):
-                near = nearest(name, options)
+                near = nearest(name, shown)
                 raise Refused(f"there is no option {name} of {self.prog}{near}; see {self.prog} --help")
 
     def _print_message(self, message: str, file: object = None) -> None:
@@ -135,8 +169,17 @@ def nearest(word: str, known: Sequence[str]) -> str:
 def add_command(choices: "argparse._SubParsersAction[Parser]", command: Command) -> None:
     """Add the parser of a command to those of the command line."""
     parser = choices.add_parser(
-        command.NAME, help=command.HELP, formatter_class=Formatter, epilog=end_of_help(command)
+        command.NAME,
+        help=command.HELP,
+        formatter_class=Formatter,
+        epilog=end_of_help(command),
+        add_help=False,
     )
+    rare = command.OPTIONS.rare
+    about = "show this"
+    if rare:
+        about = f"show this, with all {len(rare)} options more"
+    parser.add_argument("-h", "--help", action=Help, rare=rare, help=about)
     command.OPTIONS.add_to(parser)
     add_loudness(parser)
     parser.set_defaults(run=command.run)

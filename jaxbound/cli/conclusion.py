@@ -9,9 +9,8 @@ from typing import cast
 import numpy as np
 
 from jaxbound.cli.evaluation import Evaluation
-from jaxbound.cli.options import WINDOWS
 from jaxbound.cli.terminal import Conclusion, Row
-from jaxbound.cli.window import DetectRun
+from jaxbound.cli.window import WINDOWS, DetectRun
 from jaxbound.diagnosis.observed import shown_name
 from jaxbound.reports.monitored import ORDER
 from jaxbound.runs.summary import OUTSIDE, Evidence, OfTest, Summary, Window

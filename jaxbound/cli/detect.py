@@ -6,23 +6,16 @@ from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import EXIT_CODES, swift_imports
 from jaxbound.cli.options import (
-    ALARM,
+    CLAIMS,
+    COVERAGE,
     ENGINE,
     JSON,
-    MARGINS_KIND,
-    METHODS,
-    OBSERVER,
-    OUTSIDE,
-    OUTSIDE_WORD,
-    SET_OBSERVER,
-    WINDOW,
+    RULE,
     Options,
-    alarm_rule,
     every,
-    method,
     named,
-    refuse_unknown_method,
     some_of,
+    test,
     whole_number,
 )
 from jaxbound.cli.terminal import Refused, door, progress_bars
@@ -30,10 +23,11 @@ from jaxbound.cli.terminal import Refused, door, progress_bars
 if TYPE_CHECKING:
     from jaxbound.cli.evaluation import Evaluation
     from jaxbound.cli.window import DetectRun
+    from jaxbound.runs.ask import Ask
 
 NAME = "detect"
 HELP = "test a recording against a model and write a report"
-SHARING, SPREADING = ("part", "merge", "overlap"), ("scheduler", "workers")
+SHARING, SPREADING = ("part", "merge", "overlap"), ("workers",)
 VALIDATION = "validation"  # `runs.runfile` has it too, and imports more than a help can wait for
 STDIN = "-"
 EXAMPLES = (
@@ -47,11 +41,11 @@ EXAMPLES = (
     ),
     ("jaxbound detect plant.toml recordings/ --out report/", "a folder of Parquet files, larger than memory"),
     (
-        "jaxbound detect plant.toml run.csv --out report/ --method observer",
+        "jaxbound detect plant.toml run.csv --out report/ --test observer=joint",
         "against all samples since it began: slow faults",
     ),
     (
-        "jaxbound detect plant.toml run.csv --out report/ --method validation",
+        "jaxbound detect plant.toml run.csv --out report/ --test method=validation",
         "which sensor is wrong, and what it should have shown",
     ),
     ("logger | jaxbound detect plant.toml - --out live/", "line by line, each verdict at once"),
@@ -78,7 +72,15 @@ OPTIONS = Options(
         "name, or -: lines of CSV from standard input, each judged as it comes, its verdict on standard "
         "output; or FILE.py:FUNCTION, a generator of recordings that are judged as they come",
         "--out DIR": "folder for verdicts, alarms.csv and report.html; with -, if given, for verdicts.csv "
-        "and monitor.sqlite, with an option of alarms also for alarms.csv",
+        "and monitor.sqlite, with a rule of alarms also for alarms.csv",
+        **test("; method=validation (names the faulty sensor, and what it should have shown)" + CLAIMS),
+        **RULE,
+        **every(),
+        **JSON,
+    },
+    {"data": named, "chunk": whole_number(1), "part": some_of("i", "2/3"), "overlap": whole_number()},
+    more={
+        **COVERAGE,
         "--state FILE": "with -: where to remember how to go on (default: DIR/monitor.sqlite)",
         "--chunk N": "Parquet: samples in memory at once, 65536 at least (default: 1000000)",
         "--part i/n": "Parquet: judge only the i-th of n shares, i from 1 to n, and write its verdicts into "
@@ -88,19 +90,7 @@ OPTIONS = Options(
         "--overlap N": "Parquet and observer: judge each million samples by an observer of its own that "
         "begins N samples earlier, which can be shared but remembers less (default: one observer)",
         **ENGINE,
-        **method(
-            "; observer carries everything since it began on; validation bounds states and outputs, names "
-            "the faulty sensor and says what it should have shown"
-        ),
-        **every(),
-        **WINDOW,
-        **MARGINS_KIND,
-        **OUTSIDE_WORD,
-        **ALARM,
-        **JSON,
-        **SET_OBSERVER,
     },
-    {"data": named, "chunk": whole_number(1), "part": some_of("i", "2/3"), "overlap": whole_number()},
 )
 
 
@@ -111,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     with swift_imports():
         from jaxbound.cli.conclusion import conclude
         from jaxbound.cli.share import judge_share
-        from jaxbound.cli.window import DetectRun, asked
+        from jaxbound.cli.window import DetectRun, asked, asked_test
         from jaxbound.recordings.live import LiveSource
         from jaxbound.recordings.read import kind_of
 
@@ -120,15 +110,14 @@ def run(args: argparse.Namespace) -> int:
     if args.out is None:
         raise Refused("the following arguments are required: --out; see jaxbound detect --help")
     _refuse(args, ("state",), "is for samples that come through a pipe: give - as DATA")
-    refuse_unknown_method(args.method, f"{METHODS}, {OBSERVER}, {VALIDATION}")
+    ask = asked_test(args, VALIDATION, claims=True)
     with door(OSError):
         kind = kind_of(args.data)
-    _refuse_shares(args, kind.parts)
-    with door():
-        whole = asked(DetectRun, args, alarm_rule(args))
+    _refuse_shares(args, ask, kind.parts)
+    whole = asked(DetectRun, args, ask)
     if whole.part is not None:
         return judge_share(whole, whole.part)
-    in_parts = kind.parts and args.method != VALIDATION
+    in_parts = kind.parts and ask.method != VALIDATION
     evaluation = _evaluate_parts(whole) if in_parts else _evaluate_whole(whole)
     return conclude(evaluation, whole)
 
@@ -136,17 +125,15 @@ def run(args: argparse.Namespace) -> int:
 def _run_live(args: argparse.Namespace) -> int:
     """Judge samples as they come, from standard input or a live source; return the exit code."""
     _refuse(args, SPREADING, "is for Parquet: samples through a pipe are judged as they come")
-    if args.method == VALIDATION:
-        raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of {args.data}")
     _refuse(args, (*SHARING, "chunk"), f"is for recordings: give a file instead of {args.data}")
     with swift_imports():
         from jaxbound.cli.pipe import LiveRun, judge_stream
-        from jaxbound.cli.window import asked
-        from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
-    alarm: AlarmRule | None = alarm_rule(args)
-    if alarm == EVERY_FAULT and args.alarm is None:
-        alarm = None  # no option asks for alarms
-    return judge_stream(asked(LiveRun, args, alarm))
+        from jaxbound.cli.window import asked, asked_test
+
+    ask = asked_test(args, VALIDATION, claims=True)
+    if ask.method == VALIDATION:
+        raise Refused(f"{VALIDATION} reads a recording as a whole: give a file instead of {args.data}")
+    return judge_stream(asked(LiveRun, args, ask))
 
 
 def _evaluate_parts(run: "DetectRun") -> "Evaluation":
@@ -168,7 +155,7 @@ def _evaluate_whole(run: "DetectRun") -> "Evaluation":
     from jaxbound.recordings.parquet import VERDICTS
     from jaxbound.runs.outputs import output_folder
 
-    validates = run.options.method == VALIDATION
+    validates = run.ask.method == VALIDATION
     method: Callable[..., Evaluation] = evaluate
     stages: tuple[str, ...] = ("read", "relations", "test", "report")
     if validates:
@@ -183,20 +170,20 @@ def _evaluate_whole(run: "DetectRun") -> "Evaluation":
     return evaluation
 
 
-def _refuse_shares(args: argparse.Namespace, has_parts: bool) -> None:
+def _refuse_shares(args: argparse.Namespace, ask: "Ask", has_parts: bool) -> None:
     """Raise Refused for options of Parquet where there are no parts, or none that can be shared.
 
     Args:
-        has_parts: whether the recording is one of Parquet.
+        ask: the test. has_parts: whether the recording is one of Parquet.
     """
     of_parts = *SHARING, "chunk"
     if args.part is not None and args.merge:
         raise Refused("--merge reports on what --part makes: give one of the two")
-    if args.method == VALIDATION:
-        if args.outside != OUTSIDE[0]:
-            raise Refused(f"--outside is for other methods: {VALIDATION} does not ask where its inputs lie")
+    if ask.method == VALIDATION:
+        if ask.outside != "fault":
+            raise Refused(f"outside is for other methods: {VALIDATION} does not ask where its inputs lie")
         _refuse(args, of_parts, f"is for other methods: {VALIDATION} reads {args.data} as a whole")
-    if args.method == OBSERVER and args.overlap is None:
+    if ask.method == "observer" and args.overlap is None:
         _refuse(
             args,
             SHARING,
@@ -205,7 +192,7 @@ def _refuse_shares(args: argparse.Namespace, has_parts: bool) -> None:
         )
     if not has_parts:
         _refuse(args, of_parts, f"is for Parquet: {args.data} is read as a whole")
-    if args.method == VALIDATION or not has_parts:
+    if ask.method == VALIDATION or not has_parts:
         _refuse(args, SPREADING, f"is for Parquet and other methods: {args.data} is read as a whole")
     if args.part is not None or args.merge:
         _refuse(args, SPREADING, "spreads the work itself: leave out --part and --merge")

@@ -9,15 +9,10 @@ from typing import TYPE_CHECKING
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import (
     JSON,
-    METHODS,
-    OBSERVER,
-    SET_OBSERVER,
-    WINDOW,
-    MethodOptions,
     Options,
     every,
-    method,
-    refuse_unknown_method,
+    some_of,
+    test,
 )
 from jaxbound.cli.terminal import OK, Refused, door, progress_bars, usable_device
 from jaxbound.text.quantities import decimal
@@ -27,6 +22,7 @@ if TYPE_CHECKING:
 
     from jaxbound.models.system import LinearSystem
     from jaxbound.recordings.recording import Recording
+    from jaxbound.runs.ask import Ask
     from jaxbound.studies.assessment.assessment import Assessment
 
 NAME = "evaluate"
@@ -60,21 +56,22 @@ OPTIONS = Options(
         "--labels FILE|COLUMN ...": "which samples of --faulty are faulty: a CSV file of time (or sample) "
         "and label, one for all or one each, a label holds until the next row; or a column of them. Labels: "
         "0 for healthy, 1, or the name of the faulty signal (default: all samples)",
+        **test(),
+        "--out DIR": "folder for evaluation.json, curve.csv and roc.png",
+    },
+    {"alarm": some_of("k", "3/5")},
+    dict.fromkeys(("healthy", "faulty", "labels", "compare", "peers"), []),
+    more={
         "--alarm k/n ...": "alarm rules, k FAULT among n windows; the first one makes the curve (default: "
-        "1/1)",
+        "the rule of the model's [alarms], else 1/1)",
         "--factors A,B": "factors on all bounds (default: 0.5,0.7,1,1.5,2,3; an observer is followed once "
         "for each)",
         "--compare OTHER.toml ...": "models beside this one",
         "--peers TRAINING ...": "PCA, an isolation forest, a CUSUM and a threshold too, trained on these "
         "healthy recordings: those that the model was fitted to (needs scikit-learn)",
-        "--out DIR": "folder for evaluation.json, curve.csv and roc.png",
-        **method("; observer carries everything since it began on"),
         **every(),
-        **WINDOW,
-        **SET_OBSERVER,
         **JSON,
     },
-    defaults={"alarm": [(1, 1)], **dict.fromkeys(("healthy", "faulty", "labels", "compare", "peers"), [])},
 )
 
 
@@ -82,10 +79,12 @@ def run(args: argparse.Namespace) -> int:
     """Assess models on recordings, print and write what was counted; return the exit code."""
     with swift_imports():
         from jaxbound.cli.assessment_summary import AssessmentConclusion, write_assessment
+        from jaxbound.cli.window import asked_test
         from jaxbound.runs.outputs import output_folder
 
     factors = _factors(args.factors)
     _refuse_incomplete(args)
+    ask = asked_test(args)
     models = [args.model, *args.compare]
     inputs = [*models, *args.healthy, *args.faulty, *args.peers]
     with ExitStack() as stack:
@@ -94,9 +93,10 @@ def run(args: argparse.Namespace) -> int:
         if args.out is not None:
             folder = stack.enter_context(output_folder(args.out, FILES, inputs))
         step = stack.enter_context(progress_bars(("read", "relations", "test")))
-        found, hints = [], []
+        found = []
+        rules, hints = _rules(args)
         for number, model in enumerate(models):
-            assessment, said = _assessed(args, model, factors, number == 0, step)
+            assessment, said = _assessed(args, model, (ask, rules, factors), number == 0, step)
             found.append(assessment)
             hints += said
         named = {str(model): one for model, one in zip(models, found, strict=True)}
@@ -122,9 +122,24 @@ def _factors(text: str | None) -> list[float] | None:
         raise Refused(f"--factors needs numbers with commas, like 0.5,1,2, not {text!r}") from None
 
 
+def _rules(args: argparse.Namespace) -> tuple[list[tuple[int, int]], list[str]]:
+    """Return (the rules of alarms that are asked for, else that of the model, hints)."""
+    from jaxbound.diagnosis.alarmrule import stated_rule
+    from jaxbound.models.modelfile import load_model
+
+    if args.alarm:
+        return args.alarm, []
+    model = load_model(args.model)
+    rule = stated_rule(None, model, args.model)
+    others = sorted(model.alarms.keys() - {"rule"})
+    hints = []
+    if others:
+        hints = [f"{args.model}: alarms are counted by k of n alone, without {', '.join(others)}"]
+    return [(rule.k, rule.n)], hints
+
+
 def _refuse_incomplete(args: argparse.Namespace) -> None:
     """Raise Refused for options that do not go together."""
-    refuse_unknown_method(args.method, f"{METHODS}, {OBSERVER}")
     if not args.healthy and not args.faulty:
         raise Refused("there is no recording to evaluate by: give --healthy, --faulty, or both")
     if args.labels and not args.faulty:
@@ -143,24 +158,25 @@ def _refuse_incomplete(args: argparse.Namespace) -> None:
 def _assessed(
     args: argparse.Namespace,
     path: Path,
-    factors: Sequence[float] | None,
+    how: "tuple[Ask, list[tuple[int, int]], list[float] | None]",
     with_peers: bool,
     step: Callable[[str, float], object],
 ) -> "tuple[Assessment, list[str]]":
-    """Return (what a model is worth, hints)."""
+    """Return (what a model is worth, hints). how: the test, rules of alarms, factors on bounds."""
     from jaxbound.cli.window import stated_model, window_relations
     from jaxbound.diagnosis.hints import outgrown
     from jaxbound.recordings.read import read
     from jaxbound.studies.assessment.assessment import FACTORS, assess
 
-    stated = stated_model(path, args.every)
+    ask, rules, factors = how
+    stated = stated_model(path, args.every, ask)
     files = [*args.healthy, *args.faulty]
     training: list[Path] = []
     if with_peers:
         training = args.peers
     recordings = []
     for number, file in enumerate([*files, *training]):
-        recordings.append(read(file, stated))
+        recordings.append(read(file, ask.recorded(stated)))
         step("read", (number + 1) / (len(files) + len(training)))
     usable_device()
     healthy, faulty = recordings[: len(args.healthy)], recordings[len(args.healthy) : len(files)]
@@ -168,15 +184,15 @@ def _assessed(
     for number, (file, recording) in enumerate(zip(args.faulty, faulty, strict=True)):
         labels.append(_labels(args.labels, number, file, stated, recording))
     longest = max(recording.samples for recording in recordings[: len(files)])
-    _, relations = window_relations(stated, MethodOptions.of(args), "every recording", longest, step)
+    _, relations = window_relations(stated, ask, "every recording", longest, step)
     assessment = assess(
         relations,
         healthy,
         faulty,
         labels,
-        rules=args.alarm,
+        rules=rules,
         factors=factors or FACTORS,
-        method=args.method,
+        method=ask.method,
         training=recordings[len(files) :] or None,
         names=list(map(str, args.faulty)),
         progress=lambda share: step("test", share),

@@ -5,7 +5,7 @@ A report is written completely or not at all, see `outputs`.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from jaxbound.cli.engine import engine
 from jaxbound.cli.share import opened_share
 from jaxbound.cli.terminal import door, usable_device
 from jaxbound.cli.window import DetectRun, Step, stated_model, window_relations
+from jaxbound.diagnosis.alarmrule import AlarmRule, stated_rule
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result
 from jaxbound.diagnosis.severity import fitted
@@ -55,23 +56,22 @@ def evaluate_parts(folder: OutputFolder, step: Step, run: DetectRun) -> Evaluati
     source, how = opened_share(run, step)
     out, relations = run.out, how.relations
     with door():
-        run = replace(run, alarm=fitted(run.alarm, relations))
+        rule = fitted(stated_rule(run.alarm, source.model, run.model), relations)
     seconds: dict[str, float] = {}
     try:
         if run.merge:
             parts = all_parts(how, source, out)
         else:
             progress = lambda share: step("test", share)
-            with engine(run.scheduler, run.workers) as client:
+            with engine(run.workers) as client:
                 parts, seconds = write_parts(how, source, out, progress, client=client)
         start = time.perf_counter()
         with folder.work() as work:
             progress = lambda share: step("report", 0.4 * share)
             sinks = open_sinks(work, whole=False)
-            res = digest(how, source, parts, run.alarm, work / "alarms.csv", progress, sinks)
-            outcome = _outcome(
-                run, res, res.alarms, res.label, (source.model, relations.model), source.content
-            )
+            res = digest(how, source, parts, rule, work / "alarms.csv", progress, sinks)
+            models = source.model, relations.model
+            outcome = _outcome(run, res, (rule, res.alarms), res.label, models, source.content)
             summary = outcome.summary
             close_all(sinks, outcome)
             write_report(work / PAGE, res, res, res.alarms, summary, seconds)
@@ -102,27 +102,27 @@ def evaluate(
         work: the folder. sections: more sections of the report, made from the Result.
     """
     seconds, start = {}, time.perf_counter()
-    options, data = run.options, run.data
+    ask, data = run.ask, run.data
     with door():
-        stated = stated_model(run.model, options.every)
-        source = open_source(data, options.ask.recorded(stated))
+        stated = stated_model(run.model, run.every, ask)
+        source = open_source(data, ask.recorded(stated))
         content = source.content  # before it is read, so that what is written meanwhile does not pass for it
         recording = source.read(progress=lambda share: step("read", share))
-        tested, relations = window_relations(stated, options, data, recording.samples, step)
+        tested, relations = window_relations(stated, ask, data, recording.samples, step)
         refuse_short(data, recording.samples, relations.horizon)
-        run = replace(run, alarm=fitted(run.alarm, relations))
+        rule = fitted(stated_rule(run.alarm, stated, run.model), relations)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
 
     with door():
-        res = options.ask.detect(relations, recording, lambda share: step("test", share))
+        res = ask.detect(relations, recording, lambda share: step("test", share))
     sinks = open_sinks(work)
     for sink in sinks:
         sink.add(recording, res)
     step("test", 1.0)
-    alarms = res.alarms(rule=run.alarm)
+    alarms = res.alarms(rule=rule)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
-    outcome = _outcome(run, res, alarms, recording.label, (stated, tested), content)
+    outcome = _outcome(run, res, (rule, alarms), recording.label, (stated, tested), content)
     summary = outcome.summary
     close_all(sinks, outcome)
     step("report", 0.1)
@@ -135,7 +135,7 @@ def evaluate(
 def _outcome(
     run: DetectRun,
     res: Result | Digest,
-    alarms: Sequence[Alarm],
+    raised: tuple[AlarmRule, Sequence[Alarm]],
     label: Callable[[int], str],
     models: tuple[LinearSystem, Any],
     content: str | None,
@@ -143,19 +143,19 @@ def _outcome(
     """Return the Outcome of a run, with its Summary.
 
     Args:
-        label: the time of a sample by its number. models: as it is stated, and as it was tested. content: the
-            digest of the recording.
+        raised: the rule of alarms, and these. label: the time of a sample by its number. models: as it is
+            stated, and as it was tested. content: the digest of the recording.
     """
-    relations, (stated, tested) = res.relations, models
+    relations, (stated, tested), (rule, alarms) = res.relations, models, raised
     sizes = sizes_seen(res, alarms)
     return Outcome(
         alarms,
-        # of the model as it is stated: --lags took away the horizon that the bounds were found for
+        # of the model as it is stated: lags took away the horizon that the bounds were found for
         concluded(res, alarms, stated, label, run.min_coverage, sizes),
         tested,
         Path(run.data),
         content,
-        run.options.ask.of(stated),
+        run.ask.of(stated),
         relations.horizon,
-        run.alarm.names,
+        rule.names,
     )

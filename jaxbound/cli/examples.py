@@ -123,7 +123,7 @@ EXAMPLES = {
             "tank.csv": "5 minutes at 1 s; the level sensor reads 0.5 m too much from 200 s to 260 s: "
             "windows of 16 samples show all of it",
         },
-        "jaxbound detect tank.toml tank.csv --horizon 15 --out report/",
+        "jaxbound detect tank.toml tank.csv --test horizon=15 --out report/",
         _write_tank,
     ),
 }

@@ -35,11 +35,12 @@ OPTIONS = Options(
         "--all": "every coefficient, and a row for each sample (-v does the same)",
         "--faults MODEL.toml": "weigh the faults that this model file names ([[fault]]); default: those of "
         "the tested model, or a bias of every sensor and an offset of every actuator",
+        "--test NAME": "of a monitor: the test to ask, by default the one that spoke",
         "--cause": "the faults that alone explain a FAULT window and those that are excluded, nothing else; "
         "with --json as JSON",
-        "--json": "the certificate as JSON on stdout, nothing else",
     },
     required=("at",),
+    more={"--json": "the certificate as JSON on stdout, nothing else"},
 )
 
 
@@ -56,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.runs.outputs import output_folder
 
     with door(), progress_bars(("relations", "proof")) as step:
-        explained = explain_window(args.report, args.at, step)
+        explained = explain_window(args.report, args.at, step, args.test)
         if not args.cause and not args.json:
             explained.certificate.work_out(lambda share: step("proof", share))
     with door():

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from jaxbound.certificates.interface import certify
-from jaxbound.cli.options import OBSERVER
 from jaxbound.cli.window import Step
-from jaxbound.consistency.interface import FAMILIES, MONITOR, Relations
+from jaxbound.consistency.interface import FAMILIES, MONITOR, OBSERVER, Relations
 from jaxbound.diagnosis.hints import outgrown_by
 from jaxbound.models.region import Region
 from jaxbound.models.system import LinearSystem
@@ -17,9 +16,11 @@ from jaxbound.recordings.read import open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.sample_axis import SampleAxis
 from jaxbound.runs.ask import Ask
-from jaxbound.runs.contradiction import NOBODY, refuted_again
+from jaxbound.runs.contradiction import NOBODY, Spoken, refuted_again
 from jaxbound.runs.runfile import VALIDATION, is_outgrown, load_run
 from jaxbound.runs.verdictfiles import spoken_of
+from jaxbound.sets.floats.status import Status
+from jaxbound.text.names import listed, quoted
 
 
 @dataclass(frozen=True)
@@ -41,12 +42,13 @@ class Explained:
     ambiguity: str
 
 
-def explain_window(directory: str | Path, at: str, step: Step) -> Explained:
+def explain_window(directory: str | Path, at: str, step: Step, test: str | None = None) -> Explained:
     """Return the certificate of one window of a report.
 
     Args:
         directory: that `jaxbound detect` wrote. at: the sample at which the window ends, as text: its number,
-            or its time. step: told of progress, by "relations" and "proof".
+            or its time. step: told of progress, by "relations" and "proof". test: of a monitor, the name of
+            the one to ask; None: the one that spoke.
 
     Raises:
         OSError, ValueError, NotImplementedError: with a sentence for the user.
@@ -59,6 +61,12 @@ def explain_window(directory: str | Path, at: str, step: Step) -> Explained:
             f"folder"
         )
     ask = Ask(method, _asked_horizon(model, method, horizon), options=options)
+    known = [one.name for one in model.tests]
+    if test is not None and test not in known:
+        there = "it is of one test without a name"
+        if known:
+            there = f"it has {listed(known)}"
+        raise ValueError(f"there is no test {quoted(test)} in this report: {there}")
     source = open_source(data, ask.recorded(model))
     axis = SampleAxis(source)
     k = axis.find(at)
@@ -73,6 +81,8 @@ def explain_window(directory: str | Path, at: str, step: Step) -> Explained:
             spoken = NOBODY
             if method == MONITOR:
                 spoken = spoken_of(Path(directory), k)
+            if test is not None:  # all that is needed to see it refuted is read, or all there is
+                spoken = Spoken(Status.FAULT.name, test)
             certificate, part = refuted_again(relations, source, k, spoken)
         else:
             part = source.read(k - horizon, k + 1)

@@ -1,13 +1,12 @@
 """The command `jaxbound fit`: from recordings to a model file, and the picture of a fit."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import FORCE, JSON, Options, every
-from jaxbound.cli.recipe_options import HIDDEN, RECIPE, recipe_fields, recipe_hints
 from jaxbound.cli.terminal import OK, door, progress_bars, some_device
 from jaxbound.text.quantities import decimal
 
@@ -37,21 +36,28 @@ OPTIONS = Options(
         "or = in backticks or double quotes",
         "--outputs C,D": "as --inputs: what the model is to explain; these and their columns may be left out "
         "with a --recipe from a model file",
-        **RECIPE,
+        "--recipe RECIPE": "how to fit, and for which test, like order=1,horizon=30 (windows of 31 samples) "
+        "or a model file, to fit as it was fitted; order, delay: numbers or auto (default: 2, 1); "
+        "direct=true: inputs act at once; horizon, lags=0,1,2,4, average=8: windows; test=bank: all "
+        "that see what others miss, auto: the best (default: bank, where nothing else says what is tested); "
+        "observer, disturbances=auto, see=T1:bias:2: bounds of an observer, of disturbances, for these "
+        "faults; follow=auto: bounds follow the operating point; signals=auto: choose inputs; method: least "
+        "squares, windows, filters, auto; safety (default: 1.25); held_out (default: 0.3)",
+        "--out MODEL.toml": "the model file to write",
+        **every("as recorded"),
+    },
+    {"dt": decimal},
+    {"inputs": "", "outputs": ""},
+    ("out",),
+    more={
         "--where EXPR": "condition on columns: samples where it does not hold are no part of the recording",
         "--time COLUMN": "of the time stamps (default: a column that looks like time)",
         "--dt SECONDS": "sampling period (default: the median step of the time)",
-        **every("as recorded"),
-        "--out MODEL.toml": "the model file to write",
         "--name NAME": "of the plant (default: that of the model file)",
         "--plot PNG": "picture: how much of the bounds each window needs",
         **FORCE,
         **JSON,
     },
-    {"dt": decimal},
-    {"inputs": "", "outputs": "", "recipe": "", "direct": None},
-    ("out",),
-    hidden=HIDDEN,
 )
 
 
@@ -71,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
 
     refuse_targets({"--out": args.out, "--plot": args.plot}, args.data, args.force)
     with door(), progress_bars(("read", "fit")) as step:
-        file, fields = recipe_fields(args)
+        file, fields = _recipe(args.recipe or {})
         recipe = recipe_of(file, fields)
         signals, units, name = _signals(args, file)
         inputs, columns = signals.inputs, dict(signals.columns)
@@ -98,10 +104,29 @@ def run(args: argparse.Namespace) -> int:
         put(args.out, model_text(model).encode())
         if args.plot:
             put(args.plot, to_png(plot_fit(model)))
-    hints = [*_hints(args.data, recordings), *recipe_hints(args)]
+    hints = _hints(args.data, recordings)
     written = list(filter(None, (args.out, args.plot)))
     FitConclusion(model, args.data, written=written, hints=hints).show(args.json)
     return OK
+
+
+def _recipe(said: Mapping[str, Any]) -> tuple[Path | None, dict[str, Any]]:
+    """Return (the model file whose recipe is asked for, if any, the fields that differ from it).
+
+    Raises:
+        ValueError: no model file, or faults that are none.
+    """
+    from jaxbound.cli.tradeoff_table import wanted_faults
+
+    fields = dict(said)
+    if "see" in fields:
+        fields["see"] = wanted_faults(fields["see"])
+    file = fields.pop("file", None)
+    if file is None:
+        return None, fields
+    if not file.endswith(".toml"):
+        raise ValueError(f"--recipe needs fields, like order=1,horizon=30, or a model file: not {file!r}")
+    return Path(file), fields
 
 
 def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", dict[str, str], str]:

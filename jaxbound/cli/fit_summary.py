@@ -258,7 +258,7 @@ def _tested(model: Fitted) -> Row:
     apart = f"{model.dt:g} s apart"
     if model.horizon is None:
         observer = model.check.recipe.window.observer
-        flags = f"--method observer --observer {observer}"
+        flags = f"--test observer={observer}"
         return "observer", f"{observer}, samples {apart}: none is a FAULT; bounds for `detect {flags}`"
     samples = f"{model.horizon + 1}"
     if model.lags is not None:

@@ -3,22 +3,7 @@
 import argparse
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import (
-    ALARM,
-    ENGINE,
-    JSON,
-    MARGINS_KIND,
-    METHODS,
-    OBSERVER,
-    OUTSIDE_WORD,
-    SET_OBSERVER,
-    WINDOW,
-    MethodOptions,
-    Options,
-    alarm_rule,
-    method,
-    refuse_unknown_method,
-)
+from jaxbound.cli.options import CLAIMS, COVERAGE, ENGINE, JSON, RULE, Options, test
 from jaxbound.cli.terminal import door, progress_bars, usable_device
 
 NAME = "fleet"
@@ -38,20 +23,16 @@ CODES = (
 OPTIONS = Options(
     {
         "manifest MANIFEST": "CSV or TOML with a unit, a model and a recording in each row; a column "
-        "acknowledged names the unit's own file of --acknowledged",
+        "acknowledged names the unit's own file of acknowledgements",
         "--out DIR": "folder for fleet.csv and its page, worst units first",
         "--state DIR": "folder in which it is kept how each unit goes on: its next recording, in a later "
         "run, is judged as if it followed in one file",
-        **ENGINE,
-        **method("; observer carries everything since it began on"),
-        **WINDOW,
-        **MARGINS_KIND,
-        **OUTSIDE_WORD,
-        **ALARM,
+        **test(CLAIMS),
+        **RULE,
         **JSON,
-        **SET_OBSERVER,
     },
     required=("out",),
+    more={**COVERAGE, **ENGINE},
 )
 
 
@@ -60,14 +41,15 @@ def run(args: argparse.Namespace) -> int:
     with swift_imports():
         from jaxbound.cli.engine import engine
         from jaxbound.cli.fleet_table import PAGES, SHOWING, UNITS, UnitPages, conclude_fleet, write_fleet
+        from jaxbound.cli.window import asked_test
+        from jaxbound.models.statedalarms import stated_alarms
         from jaxbound.runs.fleet import FleetTest, UnitResult, detect_fleet, read_manifest
         from jaxbound.runs.outputs import output_folder, refuse_among_inputs
         from jaxbound.runs.refusals import Interrupted
 
-    options = MethodOptions.of(args)
-    refuse_unknown_method(args.method, f"{METHODS}, {OBSERVER}")
+    ask = asked_test(args, claims=True)
     with door():
-        options.check()
+        stated_alarms(args.alarm, "--alarm")
         units = read_manifest(args.manifest)
         usable_device()
     results: list[UnitResult] = []
@@ -82,9 +64,9 @@ def run(args: argparse.Namespace) -> int:
             refuse_among_inputs(args.state, inputs)
         folder.remove(UNITS)  # pages of an earlier run
         try:
-            with progress_bars(("units",)) as step, engine(args.scheduler, args.workers) as client:
+            with progress_bars(("units",)) as step, engine(args.workers) as client:
                 pages = UnitPages(work)
-                how = FleetTest(options.ask, alarm_rule(args), args.min_coverage, args.state)
+                how = FleetTest(ask, args.alarm, args.min_coverage, args.state)
                 report = lambda share: step("units", share)
                 own = pages if client is None else None
                 for result in detect_fleet(units, how, own, report, client):

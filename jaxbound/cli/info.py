@@ -4,7 +4,7 @@ import argparse
 import os
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import WINDOW, MethodOptions, Options
+from jaxbound.cli.options import Options, test
 from jaxbound.cli.terminal import OK, Refused, door, json_text, progress_bars, some_device, write
 
 NAME = "info"
@@ -25,7 +25,7 @@ OPTIONS = Options(
         "model [MODEL.toml]": "the model file to show",
         "--template": "print a commented model file",
         "--device": "examine the devices that JAX can use, so that they may prove (JAX_PLATFORMS chooses)",
-        **WINDOW,
+        **test(),
         "--json": "the same as JSON on stdout, nothing else",
     }
 )
@@ -35,27 +35,27 @@ def run(args: argparse.Namespace) -> int:
     """Print the template, or describe a model; return the exit code."""
     with swift_imports():
         from jaxbound.cli.model_summary import ModelConclusion
-        from jaxbound.cli.window import parity_windows
+        from jaxbound.cli.window import asked_test, parity_windows, stated_model
         from jaxbound.consistency.interface import MONITOR
         from jaxbound.diagnosis.hints import bound_hints
         from jaxbound.diagnosis.monitoring import monitor
-        from jaxbound.models.modelfile import load_model
         from jaxbound.models.template import template
 
     if args.template + args.device + (args.model is not None) != 1:
         raise Refused("jaxbound info needs either a model file or --template or --device")
-    if args.model is None and (args.horizon is not None or args.lags is not None):
-        raise Refused("--horizon and --lags say which windows of a model file are shown: none is given")
+    if args.model is None and args.test:
+        raise Refused("--test says which windows of a model file are shown: none is given")
     if args.device:
         return _examine(args.json)
     if args.template:
         write(template())
         return OK
     with door(), progress_bars(("relations",)) as step:
-        model, options, bank = load_model(args.model), MethodOptions.of(args), None
-        if options.ask.of(model).method == MONITOR:
+        ask, bank = asked_test(args, only=("joint",)), None
+        model = stated_model(args.model, None, ask)
+        if ask.of(model).method == MONITOR:
             bank = monitor(model)
-        model, relations = parity_windows(model, options, args.model, None, step)
+        model, relations = parity_windows(model, ask, args.model, None, step)
     ModelConclusion(model, relations, bank, hints=bound_hints(model)).show(args.json)
     return OK
 

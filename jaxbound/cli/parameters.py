@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import FORCE, JSON, WINDOW, MethodOptions, Options, every, share, whole_number
-from jaxbound.cli.terminal import INTERRUPTED, OK, Conclusion, Row, door, progress_bars, some_device
+from jaxbound.cli.options import FORCE, JSON, Options, every, share, test, whole_number
+from jaxbound.cli.terminal import INTERRUPTED, OK, Conclusion, Refused, Row, door, progress_bars, some_device
 
 if TYPE_CHECKING:
     from jaxbound.estimation.parameter_set import ParameterSet
@@ -20,7 +20,7 @@ EXAMPLES = (
         "the bounds of [[uncertainty]] with varying = false, narrowed by all windows of healthy.csv",
     ),
     (
-        "jaxbound parameters plant.toml run.csv --horizon 4 --plot parameters.png",
+        "jaxbound parameters plant.toml run.csv --test horizon=4 --plot parameters.png",
         "longer windows leave fewer values; a picture of each pair of parameters",
     ),
 )
@@ -35,22 +35,24 @@ OPTIONS = Options(
         "data DATA": "one recording: CSV or Parquet",
         "--out NARROWED.toml": "the model with its bounds narrowed to the hull",
         "--plot PNG": "picture of each pair of parameters",
-        **every(),
-        **WINDOW,
-        "--precision F": "boxes are not cut below this share of the hull (default: 1/32)",
-        "--budget N": "boxes that are judged at most (default: 20 000)",
+        **test(),
         **FORCE,
         **JSON,
     },
     {"precision": share, "budget": whole_number(1)},
     {"precision": 1 / 32, "budget": 20_000},
+    more={
+        **every(),
+        "--precision F": "boxes are not cut below this share of the hull (default: 1/32)",
+        "--budget N": "boxes that are judged at most (default: 20 000)",
+    },
 )
 
 
 def run(args: argparse.Namespace) -> int:
     """Narrow the bounds of parameters and describe them; return the exit code."""
     with swift_imports():
-        from jaxbound.cli.window import parity_windows, stated_model
+        from jaxbound.cli.window import asked_test, parity_windows, stated_model
         from jaxbound.estimation.parameter_search import STOPPED
         from jaxbound.estimation.parameters import parameters
         from jaxbound.files.whole import put
@@ -61,12 +63,14 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.runs.outputs import refuse_targets
 
     refuse_targets({"--out": args.out, "--plot": args.plot}, [args.model, args.data], args.force)
+    ask = asked_test(args, only=("joint",))
+    if ask.test is not None:
+        raise Refused("parameters are narrowed by plain windows: give --test horizon=30 or lags=0,1,4")
     with door(), progress_bars(("read", "relations", "parameters")) as step:
-        model = stated_model(args.model, args.every)
+        model = stated_model(args.model, args.every, ask)
         recording = read(args.data, model, lambda share: step("read", share))
         some_device()
-        options = MethodOptions.of(args)
-        model, relations = parity_windows(model, options, args.data, recording.samples, step)
+        model, relations = parity_windows(model, ask, args.data, recording.samples, step)
         left = parameters(
             relations,
             recording,

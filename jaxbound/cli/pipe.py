@@ -20,14 +20,13 @@ from typing import Any, cast
 
 import jax
 
-from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.signals import arrivals, ends
 from jaxbound.cli.terminal import door, nobody_reads, say, system_trouble, usable_device
 from jaxbound.cli.window import stated_model, window_relations
 from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.consistency.searched import judging_device
-from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
+from jaxbound.diagnosis.alarmrule import EVERY_FAULT, Stated, stated_rule
 from jaxbound.diagnosis.hints import bound_hints, device_hints, outgrown, unfit_by
 from jaxbound.diagnosis.severity import fitted
 from jaxbound.files.locks import refuse_link
@@ -45,6 +44,7 @@ from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Stream, Taken
 from jaxbound.relations.identity import identity
 from jaxbound.runs.alarmbook import ALARMS, LiveAlarms, Notice
+from jaxbound.runs.ask import Ask
 from jaxbound.runs.counts import Tally
 from jaxbound.runs.endings import endings_said
 from jaxbound.runs.journal import STATE, Journal, LiveCheckpoint, refuse_former_state
@@ -71,20 +71,22 @@ class LiveRun:
     """Samples that are to be judged as they come.
 
     Fields:
-        model: path of the model file. options: of the test. data: "-", or the name of a live source.
+        model: path of the model file. ask: the test. every: see `options.every`. data: "-", or the
+            name of a live source.
         out: folder of the verdicts; state: file to go on from; None: none.
         min_coverage: least share of decided windows. json: whether verdicts are JSON, else CSV.
-        alarm: the rule by which alarms are told; None: none are.
+        alarm: the rule by which alarms are told; None: that of the model, or none are.
     """
 
     model: Path | str
-    options: MethodOptions = MethodOptions()
+    ask: Ask = Ask()
+    every: str | None = None
     data: str = STDIN
     out: Path | None = None
     state: Path | None = None
     min_coverage: float = 0.5
     json: bool = False
-    alarm: AlarmRule | None = None
+    alarm: Stated = None
 
     @property
     def files(self) -> list[str]:
@@ -113,27 +115,30 @@ def judge_stream(asked: LiveRun, chunks: Iterable[Any] | None = None) -> int:
         Refused: a model, a header, a sampling period or a state that does not fit, a method without a
             Monitor.
     """
-    options, files, path = asked.options, asked.files, asked.state_path
+    ask, path = asked.ask, asked.state_path
     with door(), ExitStack() as opened:
         end = None
         if chunks is None:
             end = opened.enter_context(ends())
-        folder = opened.enter_context(_folder(asked))
-        stated = stated_model(asked.model, options.every)
-        tested, relations = window_relations(stated, options, asked.model, None, lambda stage, share: None)
-        how = {"method": options.method, "word outside training": options.outside, **BY_VALUE}
-        alarm = asked.alarm
-        if alarm is not None:
-            alarm = fitted(alarm, relations)
+        stated = stated_model(asked.model, asked.every, ask)
+        job = asked
+        if asked.alarm or stated.alarms:
+            job = replace(asked, alarm=stated_rule(asked.alarm, stated, asked.model))
+        files, folder = job.files, opened.enter_context(_folder(job))
+        tested, relations = window_relations(stated, ask, job.model, None, lambda stage, share: None)
+        how = {"method": ask.method, "word outside training": ask.outside, **BY_VALUE}
+        alarm = None
+        if job.alarm:
+            alarm = fitted(stated_rule(job.alarm, stated, job.model), relations)
             how[RULE] = json.dumps(alarm.plain(), sort_keys=True)
         if not relations.searched:  # strips: sooner done than handed to another thread
             # jax states no types of this function
             jax.config.update("jax_cpu_enable_async_dispatch", False)  # type: ignore[no-untyped-call]
         usable_device()
-        judge = _live(relations, options)
+        judge = _live(relations, ask)
         journal = before = taken = None
         if path is not None:
-            if asked.state is None:
+            if job.state is None:
                 refuse_link(path)
             journal = opened.enter_context(Journal(path, identity(relations, **how)))
             before, taken = journal.before, journal.taken
@@ -141,25 +146,25 @@ def judge_stream(asked: LiveRun, chunks: Iterable[Any] | None = None) -> int:
             raise Refused(OTHER_RULE.format(path))
         work: Any = nullcontext()
         if folder is not None:
-            if asked.state is None:
+            if job.state is None:
                 refuse_former_state(folder.path)
             # a state tells whether the verdicts are its own
             folder.check(files, foreign=before is None)
             work = folder.work()
         with work as place:
-            stream = _stream(asked.data, relations.model, _Complaints(), before and before["source"], taken)
+            stream = _stream(job.data, relations.model, _Complaints(), before and before["source"], taken)
             rule = alarm or EVERY_FAULT
-            alarms = LiveAlarms(rule, relations, options.method, stream.dt, stream.complain)
-            lines = _PrintedLines(asked.json, asked.out is None, alarms, alarm is not None)
-            run = opened.enter_context(_Judging(stated, stream, judge, journal, lines, asked.out, place))
+            alarms = LiveAlarms(rule, relations, ask.method, stream.dt, stream.complain)
+            lines = _PrintedLines(job.json, job.out is None, alarms, alarm is not None)
+            run = opened.enter_context(_Judging(stated, stream, judge, journal, lines, job.out, place))
             run.resume()
             if folder is not None:
                 folder.claim(*files)
             if end is not None:
                 chunks = arrivals(stream.raw, end)
-            summary = run.to_the_end(chunks or (), asked.min_coverage)
-            data = Path(asked.data)
-            outcome = Outcome([], summary, tested, data, None, options.ask, relations.horizon)
+            summary = run.to_the_end(chunks or (), job.min_coverage)
+            data = Path(job.data)
+            outcome = Outcome([], summary, tested, data, None, ask, relations.horizon)
             close_all(run.outputs, outcome)
         if journal is not None:
             journal.close()
@@ -168,11 +173,11 @@ def judge_stream(asked: LiveRun, chunks: Iterable[Any] | None = None) -> int:
     return summary.exit_code
 
 
-def _live(relations: Relations, options: MethodOptions) -> Live:
+def _live(relations: Relations, ask: Ask) -> Live:
     """Return the judge of samples as they come."""
     if relations.remembers:
-        return Live(Monitor(relations, options.method), options.outside)
-    return Live(Monitor(relations, options.method, outside=options.outside), options.outside)
+        return Live(Monitor(relations, ask.method), ask.outside)
+    return Live(Monitor(relations, ask.method, outside=ask.outside), ask.outside)
 
 
 def _is_file() -> bool:

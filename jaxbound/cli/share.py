@@ -52,7 +52,7 @@ def judge_share(run: DetectRun, part: tuple[int, int]) -> int:
             "exit_code": OK,
             "model": source.model.name,
             "data": str(run.data),
-            "method": run.options.method,
+            "method": run.ask.method,
             "horizon": how.relations.horizon,
             "samples": source.samples,
             "first_sample": first,
@@ -77,12 +77,11 @@ def judge_share(run: DetectRun, part: tuple[int, int]) -> int:
 
 def opened_share(run: DetectRun, step: Step) -> tuple[Any, Asked]:
     """Return (Source, its test) of what is to be tested chunk by chunk."""
-    options = run.options
-    stated = stated_model(run.model, options.every)
+    stated = stated_model(run.model, run.every, run.ask)
     usable_device()
-    source = open_source(run.data, options.ask.recorded(stated))
-    _, relations = window_relations(stated, options, run.data, source.samples, step)
-    return source, Asked(relations, options.ask, run.overlap, run.chunk or CHUNK)
+    source = open_source(run.data, run.ask.recorded(stated))
+    _, relations = window_relations(stated, run.ask, run.data, source.samples, step)
+    return source, Asked(relations, run.ask, run.overlap, run.chunk or CHUNK)
 
 
 def same_test(words: Sequence[str]) -> str:

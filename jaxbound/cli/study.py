@@ -2,20 +2,13 @@
 
 import argparse
 import time
-from collections.abc import Callable
+from argparse import ArgumentTypeError
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.names import parted, unquoted
-from jaxbound.cli.options import (
-    ENGINE,
-    JSON,
-    METHODS,
-    SET_OBSERVER,
-    WINDOW,
-    MethodOptions,
-    Options,
-    whole_number,
-)
+from jaxbound.cli.options import ENGINE, JSON, Options, test, whole_number
 from jaxbound.cli.terminal import LOUDNESS, OK, QUIET, Refused, door, progress_bars, say, usable_device
 from jaxbound.text.quantities import decimal
 
@@ -27,7 +20,7 @@ EXAMPLES = (
         "sizes around those that are guaranteed",
     ),
     (
-        "jaxbound study plant.toml --faults T1:bias --sizes 0.1:1:10 --at vertices --out study/",
+        "jaxbound study plant.toml --faults T1:bias --sizes 0.1:1:10 --scenario at=vertices --out study/",
         "ten sizes; unknowns at their bounds",
     ),
 )
@@ -46,29 +39,21 @@ OPTIONS = Options(
         "--sizes LO:HI:COUNT": "or numbers with commas (default: twelve around the guaranteed size)",
         "--n N": "scenarios, spread over faults and sizes (default: 100000)",
         "--out DIR": "folder for summary.csv, delays.parquet and report.html",
-        "--samples T": "of a scenario (default: 200)",
-        "--onset LO:HI": "the fault starts at a sample LO <= k < HI (default: the second quarter)",
-        "--at AT": "unknowns: uniform (default), vertices of their bounds, or adversarial",
-        **WINDOW,
-        "--method METHOD": f"of the monitor: {METHODS} (default: windows), or observer",
-        **SET_OBSERVER,
+        **test(),
+    },
+    {"n": whole_number(1), "seed": whole_number()},
+    {"n": 100_000, "seed": 0},
+    ("faults", "out"),
+    more={
+        "--scenario A=1,B=2": "samples=200; onset=LO:HI, where the fault starts (default: the second "
+        "quarter); at=uniform, vertices of their bounds, or adversarial: unknowns; input_range=LO:HI, levels "
+        "of the inputs, one pair for all or one each with commas (default: the ranges of the model file, "
+        "else from 1 below the operating point to 1 above); hold=20, samples that a level lasts",
         "--seed K": "of the scenarios (default: 0)",
-        "--input-range LO:HI": "levels of the inputs, one pair for all or one each with commas (default: the "
-        "ranges that the model file states, which fit writes, else from 1 below the operating point to 1 "
-        "above)",
-        "--hold H": "samples that a level lasts (default: 20)",
         **ENGINE,
         "--rows": "keep a row for each scenario in DIR/scenarios/",
         **JSON,
     },
-    {
-        "n": whole_number(1),
-        "samples": whole_number(1, 10**6),
-        "seed": whole_number(),
-        "hold": whole_number(1),
-    },
-    {"n": 100_000, "samples": 200, "at": "uniform", "seed": 0, "hold": 20},
-    ("faults", "out"),
 )
 
 
@@ -78,43 +63,37 @@ def run(args: argparse.Namespace) -> int:
     with swift_imports():
         from jaxbound.cli.engine import engine
         from jaxbound.cli.study_summary import FILES, StudyConclusion, write_study
-        from jaxbound.cli.window import window_relations
-        from jaxbound.models.modelfile import load_model
+        from jaxbound.cli.window import asked_test, stated_model, window_relations
+        from jaxbound.consistency.interface import METHODS
         from jaxbound.runs.outputs import output_folder
         from jaxbound.studies.montecarlo.montecarlo import study
 
     sizes = _sizes(args.sizes)
-    ranges = _ranges_in("--input-range", args.input_range)
-    onset = _onset_range(args.onset)
+    scenario, ask = _scenario(args.scenario or {}), asked_test(args)
     faults = [_fault_text(fault) for fault in parted(args.faults) if fault]
     stages = progress_bars(("relations", "study", "report"))
     with (
         door(),
         output_folder(args.out, FILES, (args.model,)) as folder,
         stages as step,
-        engine(args.scheduler, args.workers) as client,
+        engine(args.workers) as client,
     ):
-        model = load_model(args.model)
+        model = stated_model(args.model, None, ask)
         usable_device()
-        options = MethodOptions.of(args)
-        model, relations = window_relations(model, options, "--samples", args.samples, step)
+        model, relations = window_relations(model, ask, "--scenario samples", scenario["samples"], step)
         result = study(
             model,
             faults,
             args.n,
             args.seed,
             relations,
-            samples=args.samples,
             sizes=sizes,
-            onset=onset,
-            at=args.at,
-            input_range=ranges[0] if ranges is not None and len(ranges) == 1 else ranges,
-            hold=args.hold,
-            method=args.method if args.method in METHODS.split(", ") else "joint",
-            progress=_Announced(args.n, args.samples, lambda share: step("study", share)),
+            method=ask.method if ask.method in METHODS else METHODS[0],
+            progress=_Announced(args.n, scenario["samples"], lambda share: step("study", share)),
             out=args.out,
             rows=args.rows,
             client=client,
+            **scenario,
         )
         seconds = time.perf_counter() - start
         step("report", 0.2)
@@ -186,25 +165,52 @@ def _sizes(text: str | None) -> list[float] | None:
         ) from None
 
 
-def _onset_range(text: str | None) -> tuple[int, int] | None:
+def _onset_range(text: str) -> tuple[int, int]:
     """Read the first and last sample of an onset: lo:hi."""
-    pairs = _ranges_in("--onset", text)
-    if pairs is None:
-        return None
+    pairs = _ranges_in(text)
     if len(pairs) > 1 or not all(x.is_integer() for x in pairs[0]):
-        raise Refused(f"--onset needs two whole numbers lo:hi, not {text!r}")
+        raise ArgumentTypeError(f"needs two whole numbers lo:hi, not {text!r}")
     low, high = pairs[0]
     return int(low), int(high)
 
 
-def _ranges_in(option: str, text: str | None) -> list[tuple[float, ...]] | None:
+def _ranges_in(text: str) -> list[tuple[float, ...]]:
     """Read lo:hi, or several such pairs with commas."""
-    if text is None:
-        return None
     try:
         pairs = [tuple(map(decimal, part.split(":"))) for part in text.split(",")]
     except ValueError:
         pairs = [()]
     if any(len(pair) != 2 for pair in pairs):
-        raise Refused(f"{option} needs lo:hi, like -1:1, not {text!r}")
+        raise ArgumentTypeError(f"needs lo:hi, like -1:1, not {text!r}")
     return pairs
+
+
+def _levels(text: str) -> object:
+    """Read the range of all inputs, or one of each."""
+    pairs = _ranges_in(text)
+    if len(pairs) == 1:
+        return pairs[0]
+    return pairs
+
+
+SCENARIO: dict[str, Callable[[str], object]] = {
+    "samples": whole_number(1, 10**6),
+    "onset": _onset_range,
+    "at": str,
+    "input_range": _levels,
+    "hold": whole_number(1),
+}
+USUAL = {"samples": "200", "at": "uniform", "hold": "20"}
+
+
+def _scenario(said: Mapping[str, str]) -> dict[str, Any]:
+    """Return the keywords of `study` that --scenario says."""
+    scenario: dict[str, Any] = {}
+    for name, text in {**USUAL, **said}.items():
+        if name not in SCENARIO:
+            raise Refused(f"--scenario has no field {name!r}: its fields are {', '.join(SCENARIO)}")
+        try:
+            scenario[name] = SCENARIO[name](text)
+        except ArgumentTypeError as e:
+            raise Refused(f"{name} of --scenario {e}") from None
+    return scenario

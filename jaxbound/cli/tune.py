@@ -8,13 +8,10 @@ from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import (
     FORCE,
     JSON,
-    OBSERVER,
-    SET_OBSERVER,
-    WINDOW,
-    MethodOptions,
     Options,
     every,
     share,
+    test,
     whole_number,
 )
 from jaxbound.cli.terminal import INTERRUPTED, OK, Refused, door, progress_bars, say, some_device
@@ -36,7 +33,7 @@ EXAMPLES = (
         "those that leave most of leak.csv outside",
     ),
     (
-        "jaxbound tune plant.toml a.csv b.csv --method observer --observer joint --latched --out tuned.toml",
+        "jaxbound tune plant.toml a.csv b.csv --test observer=joint,latched=true --out tuned.toml",
         "one factor on all bounds, for `detect` with the same observer",
     ),
     (
@@ -58,24 +55,22 @@ OPTIONS = Options(
         "healthy HEALTHY ...": "recordings without a fault: CSV or Parquet",
         "--faulty DATA ...": "recordings with a fault, to be left outside",
         "--out TUNED.toml": "the model with its new bounds",
-        **every(),
-        **WINDOW,
-        "--method METHOD": "windows, or the tests that the model states, one factor each; observer: all "
-        "bounds by one factor, at which it follows each recording to its end (default: windows)",
-        **SET_OBSERVER,
-        "--steps N": f"gradient steps (default: {STEPS}; 0: one factor on all bounds)",
-        "--optimizer NAME": "of optax: adam (default), sgd, lion, ...",
-        "--bounds A,B": "which move: noise, tolerance, disturbance, parameters (default: all)",
+        **test(),
         "--safety F": "factor on the smallest bounds (default: 1.25)",
-        "--calibrate F": "share of the data kept out of the search (default: 1/3)",
-        "--plot PNG": "picture of the search and of the margins",
         **FORCE,
-        **JSON,
     },
     {"steps": whole_number(0, 10**7), "safety": decimal, "calibrate": share},
     {"faulty": [], "safety": 1.25, "calibrate": 1 / 3},
     ("out",),
-    {"method": ("joint", OBSERVER)},
+    more={
+        **every(),
+        "--steps N": f"gradient steps (default: {STEPS}; 0: one factor on all bounds)",
+        "--optimizer NAME": "of optax: adam (default), sgd, lion, ...",
+        "--bounds A,B": "which move: noise, tolerance, disturbance, parameters (default: all)",
+        "--calibrate F": "share of the data kept out of the search (default: 1/3)",
+        "--plot PNG": "picture of the search and of the margins",
+        **JSON,
+    },
 )
 
 
@@ -91,8 +86,10 @@ def run(args: argparse.Namespace) -> int:
             optimizer,
             tuned_text,
         )
-        from jaxbound.cli.window import stated_model, window_relations
+        from jaxbound.cli.window import asked_test, stated_model, window_relations
+        from jaxbound.consistency.interface import OBSERVER
         from jaxbound.files.whole import put
+        from jaxbound.models.modelfile import load_model
         from jaxbound.plots.canvas import to_png
         from jaxbound.plots.tune import plot_tuning
         from jaxbound.recordings.read import read
@@ -109,13 +106,15 @@ def run(args: argparse.Namespace) -> int:
     chosen = None
     if args.bounds is not None:
         chosen = [name.strip() for name in args.bounds.split(",")]
-    options = MethodOptions.of(args)
+    ask = asked_test(args, only=("joint", OBSERVER))
+    if ask.test is not None and not isinstance(ask.test, str):
+        raise Refused("tune finds factors of tests that the model file states: state this one as a [[test]]")
     steps = args.steps
     if steps is None:
         steps = STEPS
     with door(), progress_bars(("read", "relations", "tune")) as step:
-        model = stated_model(args.model, args.every)
-        columns = options.ask.recorded(model)
+        model = stated_model(args.model, args.every, ask)
+        columns = ask.recorded(model)
         text = args.model.read_text(encoding="utf-8-sig")
         recordings = []
         for i, file in enumerate(files):
@@ -124,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
         some_device()
         longest = int(np.argmax([recording.samples for recording in recordings]))
         samples = recordings[longest].samples
-        model, relations = window_relations(model, options, files[longest], samples, step)
+        model, relations = window_relations(model, ask, files[longest], samples, step)
         healthy = recordings[: len(args.healthy)]
         records = [(r.u[:, : model.m], r.y, r.starts) for r in healthy]
         notes = refuse_outliers(records, columns, ORDER, 1, lambda: healthy)
@@ -132,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
         if relations.parts:
             _refuse_search(args)
         tuning: TuneResult | MonitorTuneResult = tune(
-            cast("Tunable", relations),  # or a monitor: --method names no other kind
+            cast("Tunable", relations),  # or a monitor: --test names no other kind
             healthy,
             faulty,
             optimizer(args.optimizer or "adam", steps),
@@ -143,7 +142,7 @@ def run(args: argparse.Namespace) -> int:
             progress=lambda share: step("tune", share),
             state=None if relations.parts else state,
         )
-        put(args.out, tuned_text(tuning, text))
+        put(args.out, tuned_text(tuning, text, load_model(args.model).tests))
         if args.plot and isinstance(tuning, TuneResult):
             put(args.plot, to_png(plot_tuning(tuning)))
     hints = notes + [f"{file}: {hint}" for file, r in zip(files, recordings, strict=True) for hint in r.hints]
@@ -172,5 +171,5 @@ def _refuse_search(args: argparse.Namespace) -> None:
         if getattr(args, name):
             raise Refused(
                 f"--{name} is for one test: the model states tests, and each gets one factor; ask for one "
-                f"test by --horizon, --lags or --method, or leave --{name} out"
+                f"test by --test horizon=30 or observer=joint, or leave --{name} out"
             )

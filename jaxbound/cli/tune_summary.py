@@ -13,6 +13,7 @@ import numpy as np
 from jaxbound.cli.fit_summary import promise
 from jaxbound.cli.terminal import Conclusion, Row, Table
 from jaxbound.models.modelfile import changed_text, number_text
+from jaxbound.models.statedtests import StatedTest
 from jaxbound.studies.tuning.tuning import MonitorTuneResult, TuneResult
 
 if TYPE_CHECKING:
@@ -25,12 +26,17 @@ TUNED = "scale factor left_out safety bounds smallest start steps stopped caught
 RATE = 0.1  # of the first step, on the logarithms of the bounds
 
 
-def tuned_text(tuning: TuneResult | MonitorTuneResult, text: str) -> bytes:
+def tuned_text(tuning: TuneResult | MonitorTuneResult, text: str, tests: Sequence[StatedTest]) -> bytes:
     """Return the text of a model file with the bounds that were found; its comments stay.
 
     That of an interrupted search begins with a line by which the next call knows that nobody has changed it.
+
+    Args:
+        tests: of the file, also those that were not tuned.
     """
-    tuned = changed_text(text, tuning.model).encode()
+    found = {test.name: test for test in tuning.model.tests}
+    model = tuning.model.replace(tests=[found.get(test.name, test) for test in tests])
+    tuned = changed_text(text, model).encode()
     if isinstance(tuning, TuneResult) and tuning.stopped:
         return _mark(tuned) + tuned
     return tuned

@@ -11,6 +11,7 @@ from jaxbound.cli.evaluation import PAGE, Evaluation
 from jaxbound.cli.terminal import door, usable_device
 from jaxbound.cli.window import DetectRun, Step, stated_model
 from jaxbound.consistency.searched import judging_device
+from jaxbound.diagnosis.alarmrule import stated_rule
 from jaxbound.diagnosis.hints import bound_hints, device_hints, outgrown
 from jaxbound.estimation.validation import validate
 from jaxbound.estimation.validation_observer import least_horizon
@@ -28,16 +29,16 @@ from jaxbound.runs.summary import summarised
 def evaluate_validation(work: Path, step: Step, run: DetectRun) -> Evaluation:
     """Read a recording, validate it and write everything into a folder, see `evaluate`."""
     seconds, start = {}, time.perf_counter()
-    options, data = run.options, run.data
+    ask, data = run.ask, run.data
     with door():
-        plant = stated_model(run.model, options.every)
+        plant = stated_model(run.model, run.every, ask)
         source = open_source(data, plant)
         content, recording = source.content, source.read(progress=lambda share: step("read", share))
-        if options.lags is not None:
+        if ask.lags is not None:
             raise ValueError(
-                f"--lags is for other methods: {VALIDATION} takes every sample of a recording in turn"
+                f"lags are for other methods: {VALIDATION} takes every sample of a recording in turn"
             )
-        horizon = least_horizon(plant.n, plant.p) if options.horizon is None else options.horizon
+        horizon = least_horizon(plant.n, plant.p) if ask.horizon is None else ask.horizon
         _refuse_incomplete(data, recording, horizon)
         seconds["read"], start = time.perf_counter() - start, time.perf_counter()
         usable_device()
@@ -45,13 +46,13 @@ def evaluate_validation(work: Path, step: Step, run: DetectRun) -> Evaluation:
         for sink in sinks:
             sink.add(recording, res)
         step("test", 1.0)
-        alarms = res.alarms(run.alarm, recording.instants)
+        alarms = res.alarms(stated_rule(run.alarm, plant, run.model), recording.instants)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
     reaches = outgrown(plant, looks_back="validation")
     sure = (*device_hints(judging_device(remembers=True)), *bound_hints(plant))
     hints = (*recording.hints, *sure, *reaches, *_assumptions(res, recording))
     summary = summarised(res, alarms, recording.label, run.min_coverage, hints, outgrown=bool(reaches))
-    close_all(sinks, Outcome(alarms, summary, plant, Path(data), content, options.ask, horizon))
+    close_all(sinks, Outcome(alarms, summary, plant, Path(data), content, ask, horizon))
     write_page(work / PAGE, res, recording, summary, seconds)
     seconds["report"] = time.perf_counter() - start
     return Evaluation(summary, plant, seconds)

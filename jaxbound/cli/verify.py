@@ -41,9 +41,10 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.certificates.verification import named_window, of_test, verify
         from jaxbound.cli.window import stated_model
         from jaxbound.recordings.read import open_source
+        from jaxbound.runs.ask import Ask
 
     with door():
-        model = stated_model(args.model, args.every)
+        model = stated_model(args.model, args.every, Ask())
     try:
         document = load(args.certificate)
         _, tested = of_test(document, model)

@@ -117,9 +117,11 @@ class ExchangeTest(SignedTest):
         """Return (margin, open, h): proofs, in a second kernel, of the hints of a first one; between them are
         real arrays, as proofs need.
         """
-        ones = [np.ones(y.shape[-1], self.dtype) for _, y in blocks]
-        searched = run(candidates, [(one, *block) for one, block in zip(ones, blocks, strict=True)])
-        proved = run(proved_margins, [(one, *hints) for one, hints in zip(ones, searched, strict=True)])
+        asked = [(np.ones(y.shape[-1], self.dtype), u, y) for u, y in blocks]
+        searched = run(candidates, asked)
+        proved = run(
+            proved_margins, [(one, *hints) for (one, *_), hints in zip(asked, searched, strict=True)]
+        )
         judged = []
         for (h, *_), (margin, settled) in zip(searched, proved, strict=True):
             judged.append((margin, ~np.asarray(settled), h))

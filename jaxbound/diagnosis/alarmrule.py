@@ -4,11 +4,15 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from os import PathLike
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from jaxbound.diagnosis.acknowledged import Acknowledged, Times
+from jaxbound.models.statedalarms import stated_alarms
+from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.names import listed
@@ -158,6 +162,29 @@ class AlarmRule:
 
 EVERY_FAULT = AlarmRule()
 """Each stretch of FAULT windows is an alarm."""
+Stated: TypeAlias = AlarmRule | Mapping[str, Any] | None
+"""A rule, or fields of an `[alarms]` table, which win over those of the model."""
+
+
+def stated_rule(said: Stated, model: LinearSystem, file: str | PathLike[str]) -> AlarmRule:
+    """Return a rule as it is, or that of a model with other fields, if any are said.
+
+    Args:
+        said: see `Stated`. file: of the model, beside which its file of acknowledgements is.
+
+    Raises:
+        ValueError: fields that make no rule.
+    """
+    if isinstance(said, AlarmRule):
+        return said
+    table = dict(model.alarms)
+    if "acknowledged" in table:
+        table["acknowledged"] = Path(file).parent / table["acknowledged"]
+    table |= stated_alarms(said, "--alarm")
+    k, _, n = table.pop("rule", "1/1").partition("/")
+    return AlarmRule(int(k), int(n), **table)
+
+
 RuleLike: TypeAlias = AlarmRule | tuple[int, int]
 """A rule, or (k, n)."""
 

@@ -133,9 +133,9 @@ def outgrown(model: LinearSystem, relations: Relations | None = None, looks_back
         return [f"{FOR.format(horizon + 1)} and {looks_back} looks back on all samples: {MAY}"]
     if relations is None or relations.horizon <= horizon:
         return []
-    again = f"--horizon {relations.horizon}"
+    again = f"--recipe horizon={relations.horizon}"
     if relations.lags:
-        again = f"--lags {','.join(map(str, relations.lags))}"
+        again = f"--recipe lags={','.join(map(str, relations.lags))}"
     reach = f"these windows reach over {relations.horizon + 1}"
     return [f"{FOR.format(horizon + 1)} and {reach}: {MAY}; fit again with {again}"]
 

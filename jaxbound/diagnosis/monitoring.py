@@ -121,12 +121,20 @@ def relations_of_test(model: LinearSystem, test: StatedTest, progress: Progress 
         if test.lags is not None:
             return parity_relations(own, lags=test.lags, progress=progress)
         return parity_relations(own, horizon, progress=progress)
+    return observer(own, test.observer, **observer_keywords(test))
+
+
+def observer_keywords(test: StatedTest) -> dict[str, Any]:
+    """Return the options of a test by an observer as keywords of `observer`.
+
+    Raises:
+        ValueError: one of another observer.
+    """
     options = dict(test.options)
-    method = OBSERVERS.get(test.observer)
-    if method is not None:
-        if "window" in options and "window" not in [option.field for option in method.shell]:
-            raise ValueError(f"window is no option of the observer {test.observer!r}")
+    kind = OBSERVERS.get(test.observer or "")
+    if kind is not None and "window" in options and not hasattr(kind, "window"):
+        raise ValueError(f"window is no option of the observer {test.observer!r}")
     options["restart"] = not options.pop("latched", False)
     if "weight" in options:
         options["weight"] = [float(x) for x in options["weight"]]
-    return observer(own, test.observer, **options)
+    return options

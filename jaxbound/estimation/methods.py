@@ -8,30 +8,10 @@ import dataclasses
 import html
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
     from jaxbound.estimation.set_observer import SetObserver, ZonotopeObserver
-
-
-class ShellOption(NamedTuple):
-    """An option of a method on the command line, a whole number.
-
-    Fields: field: its name in the method's value; flag: its name on the command line; default, least, most:
-    of its value; help: one line, without the default.
-    """
-
-    field: str
-    flag: str
-    default: int
-    least: int
-    most: int
-    help: str
-
-    @property
-    def dest(self) -> str:
-        """The name that argparse gives the option's value."""
-        return self.flag.strip("-").replace("-", "_")
 
 
 class ObserverMethod(ABC):
@@ -41,13 +21,11 @@ class ObserverMethod(ABC):
 
     name: of `observer(model, method=name)` and of the command line. about: a few words for the help.
     sharp: whether it tests windows of samples together, which sees smaller faults than zonotopes do.
-    shell: its options on the command line.
     """
 
     name: ClassVar[str]
     about: ClassVar[str]
     sharp: ClassVar[bool] = False
-    shell: ClassVar[tuple[ShellOption, ...]] = ()
 
     def _repr_html_(self) -> str:
         return f"<code>{html.escape(repr(self))}</code>"
@@ -83,8 +61,8 @@ class LeastZonotope(ObserverMethod):
         return dataclasses.replace(zonotopes, weights=zonotopes.weights[:1] ** 0)
 
 
-WINDOW, SHORTEST, LONGEST = 32, 4, 1000
-"""Samples of a window of "joint": the usual number, the least, the most that the command line takes."""
+WINDOW, SHORTEST = 32, 4
+"""Samples of a window of "joint": the usual number, the least."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +80,6 @@ class Joint(ObserverMethod):
     name: ClassVar[str] = "joint"
     about: ClassVar[str] = "exact tests of windows that remember: slow faults, some hundred times slower"
     sharp: ClassVar[bool] = True
-    shell: ClassVar[tuple[ShellOption, ...]] = (
-        ShellOption("window", "--span", WINDOW, SHORTEST, LONGEST, "samples of such a window, even"),
-    )
 
     def __post_init__(self) -> None:
         from jaxbound.models.numbers import is_whole
@@ -125,11 +100,6 @@ OBSERVERS: dict[str, type[ObserverMethod]] = {
 """Every method of `observer`, by the name that it has in keywords and on the command line."""
 GONE = "constrained"
 """A method of before, whose name is refused with the way on."""
-
-
-def shell_options() -> list[ShellOption]:
-    """Return the options of all methods on the command line."""
-    return [option for kind in OBSERVERS.values() for option in kind.shell]
 
 
 def observer_method(method: str | ObserverMethod, **options: int | None) -> ObserverMethod:

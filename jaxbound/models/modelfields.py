@@ -28,6 +28,7 @@ from jaxbound.models.filevalues import (
     known_fields,
 )
 from jaxbound.models.named_faults import NamedFault
+from jaxbound.models.statedalarms import ALARMS
 from jaxbound.models.statedtests import stated_tests
 from jaxbound.models.system import ORIGINS, LinearSystem, matrices_at_zero
 from jaxbound.models.uncertainty import Uncertainty
@@ -120,6 +121,7 @@ FIELDS: Mapping[str, Mapping[str, ValueKind]] = {
         "between": RANGE,
         "unit": TEXT,
     },
+    "alarms": ALARMS,
     "matrices": {**MATRICES, "G": MATRIX, "F": MATRIX, "D_v": MATRIX, "E": MATRIX},
 }
 """{table, "" above all tables: {field: kind of its value}}, in the order in which they are written."""
@@ -129,7 +131,7 @@ BY_NAME = {"unit": "units", "column": "columns", "range": "ranges"}
 """{field of a signal: argument of a LinearSystem that has it by the name of the signal}."""
 EACH = ("tolerance", "noise", "resolution")
 """Bounds that have a number for each output."""
-TABLES = (*LISTS, "matrices", "provenance", "fit", "test")  # fit: how it was made, which `fit` reads
+TABLES = (*LISTS, "alarms", "matrices", "provenance", "fit", "test")  # fit: its recipe, for `fit` alone
 
 
 def field_names(place: str) -> tuple[str, ...]:
@@ -194,6 +196,8 @@ def _stated(model: LinearSystem) -> dict[str, list[Table]]:
             del table["varying"]
         if table["between"] == (-1, 1):
             del table["between"]
+    if model.alarms:
+        tables["alarms"] = [dict(model.alarms)]
     tables["fault"] = []
     for fault in model.faults:
         table = {name: value for name, value in vars(fault).items() if value != ()}
@@ -245,7 +249,8 @@ def model_arguments(document: Table) -> dict[str, Any]:
         if name in top:
             arguments[name] = top[name]
     tests = stated_tests(as_list("test", document.get("test", [])))
-    return arguments | {"provenance": _read_provenance(document), "tests": tests}
+    alarms = checked_table("[alarms]", document.get("alarms", {}))
+    return arguments | {"provenance": _read_provenance(document), "tests": tests, "alarms": alarms}
 
 
 def _read_matrices(document: Table) -> Table:

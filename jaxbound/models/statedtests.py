@@ -112,7 +112,11 @@ def stated_tests(given: StatedTests | None) -> tuple[StatedTest, ...]:
     for i, table in enumerate(stated):
         test = table
         if not isinstance(test, StatedTest):
-            test = _read(i + 1, dict(checked_table(f"number {i + 1} of test", table)))
+            place, fields = f"number {i + 1} of test", dict(checked_table(f"number {i + 1} of test", table))
+            if "name" not in fields:
+                raise ValueError(f"{place} needs a name")
+            name = TEXT.read("name", place, fields["name"])
+            test = stated_test(f"test {name!r}", fields)
         if test.name in [other.name for other in tests]:
             raise ValueError(f"two tests are called {test.name!r}: each needs a name of its own")
         tests.append(test)
@@ -124,12 +128,8 @@ def stated_tests(given: StatedTests | None) -> tuple[StatedTest, ...]:
     return tuple(tests)
 
 
-def _read(place: int, table: Table) -> StatedTest:
-    """Return the test that a table states."""
-    if "name" not in table:
-        raise ValueError(f"number {place} of test needs a name")
-    name = TEXT.read("name", f"number {place} of test", table["name"])
-    where = f"test {name!r}"
+def stated_test(where: str, table: Table) -> StatedTest:
+    """Return the test that a table with a name states. where: for sentences on what is wrong with it."""
     known_fields(where, table, FIELDS)
     looks = [key for key in LOOKS if table.get(key) is not None]
     if len(looks) > 1:
@@ -140,7 +140,7 @@ def _read(place: int, table: Table) -> StatedTest:
     if observer is not None:
         observer = TEXT.read("observer", where, observer)
     return StatedTest(
-        name,
+        table["name"],
         whole_horizon(table.get("horizon"), f"horizon of {where}"),
         lags,
         observer,

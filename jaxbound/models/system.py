@@ -28,6 +28,7 @@ from jaxbound.models.signals import (
     sensors,
     words,
 )
+from jaxbound.models.statedalarms import stated_alarms
 from jaxbound.models.statedtests import StatedTest, StatedTests, stated_tests
 from jaxbound.models.times import times_of
 from jaxbound.models.uncertainty import Uncertainty, centred
@@ -129,6 +130,8 @@ class LinearSystem:
         tests: of `jb.monitor`, one a mapping with the fields of a `[[test]]` table of a model file: {"name":
             "slow", "lags": [0, 1, 2, 4], "factor": 1.2}. Kept as .tests; whatever tests by this model in
             another way takes no notice.
+        alarms: the rule by which commands make alarms, a mapping with the fields of the `[alarms]` table of
+            a model file: {"rule": "3/5", "latch": True}. No verdict depends on it.
         faults: a sequence of `NamedFault`: what may break, in the words of whoever reads an alarm. No verdict
             depends on them: they are the candidates of a `Diagnosis`. None named: a bias of every sensor, an
             offset of every actuator.
@@ -161,6 +164,7 @@ class LinearSystem:
     averages: tuple[Average, ...]
     left_out: Fraction | None
     tests: tuple[StatedTest, ...]
+    alarms: Mapping[str, Any]
     faults: tuple[NamedFault, ...]
 
     A = _Of[Matrix]("plant")
@@ -218,6 +222,7 @@ class LinearSystem:
         averages: Averaged | None = None,
         left_out: Number | None = None,
         tests: StatedTests | None = None,
+        alarms: Mapping[str, Any] | None = None,
         faults: Sequence[NamedFault] = (),
     ) -> None:
         refuse_state_space(A)
@@ -248,6 +253,7 @@ class LinearSystem:
             averages=_averages(averages, parts, measured, signals.outputs),
             left_out=_factor(left_out),
             tests=stated_tests(tests),
+            alarms=stated_alarms(alarms),
             faults=named_faults(faults, signals.inputs, signals.outputs, signals.states),
         )
 

@@ -17,7 +17,7 @@ TEMPLATE = """\
 
 name = "tank"
 dt = 1.0             # sampling period of model and recording, in seconds
-# horizon = 15       # windows have 16 samples unless --horizon says otherwise: those for which the bounds were found
+# horizon = 15       # windows have 16 samples unless --test says otherwise: those for which the bounds were found
 # lags = [0, 1, 2, 4, 8, 16]   # in place of horizon: look at the outputs only so many samples before the last of a window
 # time = "Time"      # column of the time stamps; without it, a column that looks like time is taken
 # where = "Fan > 0"  # samples for which this does not hold are no part of the recording: windows with them are MISSING
@@ -99,4 +99,13 @@ disturbance = "assumed"
 # observer = "joint"   # or lags = [0, 1, 2, 4, 8, 16], or horizon = 60
 # factor = 1.5         # on all bounds
 # when = "pump > 40"   # optional: the test watches where this holds; "otherwise": where no other condition does
+
+# The rule by which FAULT makes alarms, for every command that makes some; --alarm says another one.
+# [alarms]
+# rule = "3/5"         # 3 FAULT among 5 windows
+# merge = "10min"      # alarms of one suspect so far apart are one
+# least = 0.5          # an output's smaller errors make none; or {level = 0.1, flow = 0.5}
+# suspects = true      # name the signals that alone could be wrong
+# latch = true         # an alarm stays on until a repair shows, or until it is acknowledged
+# acknowledged = "seen.txt"   # beside this file: a time a line at which an operator acknowledged
 """

@@ -82,7 +82,7 @@ class Validated:
         """
         if rule.suspects or rule.least is not None:
             raise ValueError(
-                "validation names the faulty sensors itself, and no sizes: leave out --suspects and --least"
+                "validation names the faulty sensors itself, and no sizes: leave out suspects and least"
             )
         return Watching(rule.fitted(self.model), None, self.method).whole(self, instants, self)
 

@@ -97,7 +97,7 @@ def _longer(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
         return ""
     if slowest(model) <= relations.horizon + 1:
         return ""
-    longer = "; smaller ones may show in a longer --horizon, or with the lags of jb.suggest_lags(model)"
+    longer = "; smaller ones may show in a longer horizon, or with the lags of jb.suggest_lags(model)"
     return f"{longer}; bounds from data must be fitted for these again"
 
 
@@ -124,7 +124,7 @@ def sizes_text(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
     if res.relations.latched and not res.relations.parts:
         return "an observer is sure of no size that lasts"
     if res.relations.remembers and not res.relations.parts:
-        advice = "--latched keeps FAULT on behind what was contradicted"
+        advice = "latched=true keeps FAULT on behind what was contradicted"
         return f"an observer is sure of no size that lasts; {advice}"
     these = looked_at(res.relations)
     if res.relations.parts:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 import numpy as np
 
 from jaxbound.consistency.interface import Relations
-from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
+from jaxbound.diagnosis.alarmrule import Stated, stated_rule
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.blocks import recordings_of
@@ -240,8 +240,8 @@ class FleetTest:
     """The test of the units of a fleet.
 
     Fields: ask: of each of them; its margins are those of the Results that pages are made from, those of
-    units are exact. alarm: the rule of alarms. min_coverage: least share of decided windows; below it, a unit
-    without FAULT has too little evidence.
+    units are exact. alarm: the rule of alarms, or fields that win over those of each model. min_coverage:
+    least share of decided windows; below it, a unit without FAULT has too little evidence.
     state: folder in which continuations of units are kept; None: nowhere. The next recording of a unit, in a
     run with the same folder, is then judged as if it followed in one file: windows look back into the one
     before, an observer carries on, each test of a monitor does, and an interval of means that began in it is
@@ -250,7 +250,7 @@ class FleetTest:
     """
 
     ask: Ask = Ask()
-    alarm: AlarmRule = EVERY_FAULT
+    alarm: Stated = None
     min_coverage: float = 0.5
     state: str | PathLike[str] | None = None
 
@@ -366,7 +366,7 @@ class _Reader:
         if unit.model in self.models:
             model, relations = self.models[unit.model]
         else:
-            model = load_model(unit.model)
+            model = ask.chosen(load_model(unit.model))
         source = open_source(unit.recording, ask.recorded(model))
         if how.state is None:
             recording = source.read()
@@ -453,7 +453,7 @@ def _judge_unit(
         res, carry = replace(how.ask.detect(relations, recording), known=data.joined.known), None
     if data.kept is not None:
         data.kept.save(recording, carry)
-    rule = how.alarm
+    rule = stated_rule(how.alarm, model, unit.model)
     if unit.acknowledged is not None:
         rule = replace(rule, acknowledged=unit.acknowledged)
     alarms = res.alarms(rule=rule)

@@ -242,7 +242,7 @@ def test_the_checker_beside_jaxbound_sees_a_gap_that_no_name_tells(kind, tmp_pat
 def test_windows_of_a_model_with_tests_are_confirmed_by_the_model_of_their_report(at_rest, capsys):
     folder, _ = at_rest
     run = ["detect", str(folder / "m.toml"), str(folder / "d.csv"), "--out", str(folder / "r"), "-q"]
-    main.main([*run, "--horizon", "2"])
+    main.main([*run, "--test", "horizon=2"])
     assert main.main(["explain", str(folder / "r"), "--at", "5"]) == 0
     about = [str(folder / "r/certificate-5.json"), "--data", str(folder / "d.csv")]
     for model, code in ((folder / "r/tested_model.toml", 0), (folder / "m.toml", 1)):

@@ -128,6 +128,6 @@ def test_what_little_a_fit_means_is_said(tmp_path, capsys, case):
     inputs = [name for name in ("u", "v") if name in frames[0]]
     model = jb.fit(frames, inputs=inputs, outputs="y", horizon=4, method="least squares")
     assert re.search(sentence, " ".join(model.check.sentences))
-    assert shell(tmp_path, frames, "y", ",".join(inputs), "--horizon", "4", "--method", "least squares") == 0
+    assert shell(tmp_path, frames, "y", ",".join(inputs), "--recipe", "horizon=4,method=least squares") == 0
     out, err = capsys.readouterr()
     assert re.search(sentence, re.sub(r"\s+", " ", out)) and not err

@@ -99,7 +99,7 @@ def test_an_observer_is_evaluated_too(plant, capsys):
         (["--faulty", "leak.csv", "--factors", "x"], "--factors needs numbers with commas"),
         (["--faulty", "leak.csv", "--factors", "-1"], "factors on bounds are > 0 and finite"),
         (["--healthy", "monday.csv", "--peers", "monday.csv"], "monday.csv is in --peers too"),
-        (["--faulty", "leak.csv", "--method", "validation"], "--method must be one of"),
+        (["--faulty", "leak.csv", "--method", "validation"], "method must be one of"),
         (["--faulty", "leak.csv", "--out", "."], "leak.csv"),
         (["--faulty", "none.csv"], "there is no data file none.csv"),
     ],

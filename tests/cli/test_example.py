@@ -45,7 +45,8 @@ def test_files_are_the_same_each_time_and_nothing_of_others_is_replaced(place, c
     res = jb.detect(jb.parity_relations(m := jb.load_model("tank/tank.toml")), jb.read("tank/tank.csv", m))
     assert (res.status[:200] != jb.Status.FAULT).all() and (res.status[200:260] == jb.Status.FAULT).any()
     assert (
-        f" {EXAMPLES['tank'].first}\n" in capsys.readouterr().out and "--horizon 15" in EXAMPLES["tank"].first
+        f" {EXAMPLES['tank'].first}\n" in capsys.readouterr().out
+        and "--test horizon=15" in EXAMPLES["tank"].first
     )
     relations, run = jb.parity_relations(m, 15), jb.read("tank/tank.csv", m)
     proved = [

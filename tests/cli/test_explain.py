@@ -388,7 +388,11 @@ def test_a_number_that_could_be_a_time_says_so(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     "options",
-    [("--horizon", "6"), ("--lags", "0,3,6"), pytest.param(("--method", "observer"), marks=pytest.mark.long)],
+    [
+        ("--test", "horizon=6"),
+        ("--test", "lags=0,3,6"),
+        pytest.param(("--method", "observer"), marks=pytest.mark.long),
+    ],
 )
 def test_a_fault_beyond_the_bounds_as_fitted_is_no_proof_of_a_fault(tmp_path, options, capsys):
     still = ([[1, 0], [0, 1]], 0)  # nothing is disturbed, but an observer is of the sizes of other tests
@@ -407,7 +411,7 @@ def test_a_fault_beyond_the_bounds_as_fitted_is_no_proof_of_a_fault(tmp_path, op
     code, out, _ = explain(tmp_path, str(faults[0]), capsys=capsys)
     assert code == 0 and out.startswith("FAULT outside the bounds as fitted: the window from ")
     assert "an error that lasts longer" in " ".join(out.split())
-    assert main.main(["detect", *files, "--out", str(tmp_path / "out"), "--horizon", "3"]) == 1
+    assert main.main(["detect", *files, "--out", str(tmp_path / "out"), "--test", "horizon=3"]) == 1
     capsys.readouterr()
     assert explain(tmp_path, str(faults[0]), capsys=capsys)[1].startswith("FAULT proved: ")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.cli import main, recipe_options
+from jaxbound.cli import fields, main
 from jaxbound.cli.fit_summary import signal_columns
 from jaxbound.recordings.read import read_signals
 from jaxbound.studies.identification import window_tests
@@ -48,10 +48,8 @@ FIT = [
     "heat=Heater (%)",
     "--outputs",
     "lift=`T out`-`T room`",
-    "--order",
-    "1",
-    "--horizon",
-    "4",
+    "--recipe",
+    "order=1,horizon=4",
     "--where",
     "on == 1",
     "--out",
@@ -80,8 +78,8 @@ def test_fit_writes_a_model_file(place, capsys):
 
 def test_a_plain_command_chooses_what_is_tested(place, capsys, monkeypatch):
     monkeypatch.setattr(window_tests, "WINDOWS", (WindowChoice(4), WindowChoice(7)))
-    at = FIT.index("--horizon")
-    assert main.main([*FIT[:at], *FIT[at + 2 :], "--method", "least squares", "--json"]) == 0
+    command = [word.replace("horizon=4", "method=least squares") for word in FIT]
+    assert main.main([*command, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert [(test["name"], test["horizon"]) for test in said["tests"]] == [("5 samples", 4), ("8 samples", 7)]
     assert jb.load_model("tank.toml").horizon in (4, 7)
@@ -99,12 +97,12 @@ def test_time_stamps_without_separators_are_no_seconds(place, capsys):
 
 
 def test_fit_writes_bounds_of_means(place, capsys):
-    assert main.main([*FIT, "--average", "4", "--json"]) == 0
+    assert main.main([*FIT, "--recipe", "average=4", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     (one,) = jb.load_model("tank.toml").averages
     assert said["average"] == 4 == len(one.weights) and said["means"] == {"lift": float(one.bound)}
     assert said["smallest_mean"]["lift"] < float(one.bound) + 5e-05 < said["noise"]["lift"]
-    assert main.main([*FIT, "--average", "4", "--force"]) == 0
+    assert main.main([*FIT, "--recipe", "average=4", "--force"]) == 0
     assert "mean of 4 samples of lift within" in capsys.readouterr().out
 
 
@@ -117,7 +115,7 @@ def test_fit_and_detect_agree_and_draw(place, capsys):
 
 
 def test_the_summary_names_bounds_shares_and_cautions(place, capsys):
-    assert main.main([*FIT, "--held-out", "0"]) == 0
+    assert main.main([*FIT, "--recipe", "held_out=0"]) == 0
     out = " ".join(capsys.readouterr().out.split())
     for text in (
         "tank: fitted to 1 recording",
@@ -134,14 +132,14 @@ def test_the_summary_names_bounds_shares_and_cautions(place, capsys):
     [
         (["--outputs", "T  in"], "run.csv: .*has no column 'T  in'"),
         (["--inputs", "heat=Heater (%),"], "--inputs needs names, or name=column or name=expression"),
-        (["--order", "-1"], "order must be a whole number >= 0, or auto, not -1"),
-        (["--horizon", "1"], r"horizon must be a whole number above the order \(1\), not 1"),
-        (["--safety", "0.5"], "safety must be a factor >= 1"),
-        (["--held-out", "1"], "held_out must be a share from 0 to below 1"),
+        (["--recipe", "order=-1"], "order must be a whole number >= 0, or auto, not -1"),
+        (["--recipe", "order=1,horizon=1"], r"horizon must be a whole number above the order \(1\), not 1"),
+        (["--recipe", "order=1,safety=0.5"], "safety must be a factor >= 1"),
+        (["--recipe", "order=1,held_out=1"], "held_out must be a share from 0 to below 1"),
         (["--where", "on == 7"], "run.csv: the condition 'on == 7' holds for none of its 120 samples"),
         (["--out", "no/tank.toml"], "--out no/tank.toml must be a file to write, in a folder that exists"),
         (
-            ["--horizon", "300"],
+            ["--recipe", "order=1,horizon=300"],
             "too few samples: 110, in 1 recording, hold 0 complete windows of 301 samples",
         ),
     ],
@@ -163,7 +161,10 @@ def test_bad_input_is_one_sentence_and_writes_nothing(place, capsys, change, mes
 
 
 def test_a_sensor_that_stands_still_is_named(place, capsys):
-    assert main.main(["fit", "still.csv", "--outputs", "T out", "--horizon", "4", "--out", "tank.toml"]) == 2
+    assert (
+        main.main(["fit", "still.csv", "--outputs", "T out", "--recipe", "horizon=4", "--out", "tank.toml"])
+        == 2
+    )
     assert "T out stands still in all recordings: nothing can be learnt of it" in capsys.readouterr().err
 
 
@@ -216,8 +217,16 @@ def test_units_of_columns_reach_the_model_and_its_report(tmp_path, monkeypatch, 
     y = np.asarray(jb.simulate(true, u, jax.random.key(1)).y)
     rows = np.column_stack([np.arange(200), u, y])
     np.savetxt("run.csv", rows, delimiter=",", header="time,Pump (bar),T_room [degC]", comments="")
-    files = ["run.csv", "--inputs", "Pump (bar)", "--outputs", "T_room [degC]", "--order", "1"]
-    assert main.main(["fit", *files, "--out", "m.toml", "--horizon", "3"]) == 0
+    files = [
+        "run.csv",
+        "--inputs",
+        "Pump (bar)",
+        "--outputs",
+        "T_room [degC]",
+        "--recipe",
+        "order=1,horizon=3",
+    ]
+    assert main.main(["fit", *files, "--out", "m.toml"]) == 0
     assert "degC" in capsys.readouterr().out
     model = jb.load_model("m.toml")
     assert model.inputs + model.outputs == ("Pump", "T_room")
@@ -231,23 +240,22 @@ def test_units_of_columns_reach_the_model_and_its_report(tmp_path, monkeypatch, 
     by_day="studies/identification/test_fitting::test_bounds_are_those_at_which_it_follows_every_recording"
 )
 def test_bounds_for_an_observer(place, capsys):
-    at = FIT.index("--horizon")
-    command = [*FIT[:at], *FIT[at + 2 :], "--observer", "zonotope", "--method", "least squares"]
+    command = [word.replace("horizon=4", "observer=zonotope,method=least squares") for word in FIT]
     assert main.main(command) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "lasting jump always seen" in said and "`detect --method observer --observer zonotope`" in said
+    assert "lasting jump always seen" in said and "`detect --test observer=zonotope`" in said
     assert jb.load_model("tank.toml").horizon is None
-    observed = ["--method", "observer", "--observer", "zonotope"]
+    observed = ["--test", "observer=zonotope"]
     assert main.main(["detect", "tank.toml", "run.csv", "--out", "report", *observed]) == 0
     assert main.main(["tune", "tank.toml", "run.csv", "--out", "tuned.toml", *observed]) == 0
     assert "for an observer" in jb.load_model("tuned.toml").provenance["noise"]
     capsys.readouterr()
-    assert main.main([*command, "--force", "--average", "3"]) == 2
+    assert main.main([*command, "--force", "--recipe", "average=3"]) == 2
     assert "average is for windows" in capsys.readouterr().err
 
 
 def test_fit_with_disturbances_says_what_is_seen_under_which_bounds(place, capsys):
-    options = ["--disturbances", "auto", "--see", "lift:drift:1", "--method", "least squares"]
+    options = ["--recipe", "disturbances=auto,see=lift:drift:1,method=least squares"]
     assert main.main([*FIT, *options, "--plot", "fit.png", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     model = jb.load_model("tank.toml")
@@ -262,14 +270,14 @@ def test_fit_with_disturbances_says_what_is_seen_under_which_bounds(place, capsy
     [("lift:bias", "signal:kind:size"), ("lift:bend:1", "kind of fault"), ("flow:bias:1", "'flow'")],
 )
 def test_a_fault_to_see_that_is_none_is_refused(place, capsys, see, sentence):
-    assert main.main([*FIT, "--disturbances", "auto", "--see", see]) == 2
+    assert main.main([*FIT, "--recipe", f"disturbances=auto,see={see}"]) == 2
     assert sentence in capsys.readouterr().err
     assert not (place / "tank.toml").exists()
 
 
 def test_a_recipe_says_what_options_said_and_a_model_file_repeats_it(place, capsys):
-    at = FIT.index("--order")
-    command = [*FIT[:at], *FIT[at + 4 :]]
+    at = FIT.index("--recipe")
+    command = [*FIT[:at], *FIT[at + 2 :]]
     assert main.main([*command, "--recipe", "order=1,horizon=4"]) == 0
     assert "the next version" not in capsys.readouterr().out
     written = (place / "tank.toml").read_text()
@@ -278,17 +286,19 @@ def test_a_recipe_says_what_options_said_and_a_model_file_repeats_it(place, caps
     assert main.main(half) == 2 and "--inputs without --outputs" in capsys.readouterr().err
     assert main.main(["fit", "run.csv", "--recipe", "tank.toml", "--out", "again.toml"]) == 0
     assert (place / "again.toml").read_text() == written
-    assert main.main([*FIT, "--out", "old.toml", "--name", "tank"]) == 0
-    assert "--order, --horizon: the next version has them in a recipe alone" in " ".join(
-        capsys.readouterr().out.split()
+    old = ["--order", "1", "--horizon", "4", "--out", "old.toml", "--name", "tank"]
+    assert main.main([*command, *old]) == 0
+    assert capsys.readouterr().err.startswith(
+        "jaxbound: --order, --horizon: the next version takes only --recipe order=1,horizon=4\n"
     )
     assert (place / "old.toml").read_text() == written
     assert main.main([*command, "--recipe", "order=1,height=4", "--force"]) == 2
     assert "fit has no height" in capsys.readouterr().err
     assert main.main([*command, "--recipe", "order=1,order=2", "--force"]) == 2
-    assert "order is given twice" in capsys.readouterr().err
+    assert "--recipe says order twice" in capsys.readouterr().err
 
 
 def test_the_fields_of_a_recipe_are_those_of_the_command():
-    assert recipe_options.FIELDS == [field.name for field in dataclasses.fields(jb.Recipe)]
-    assert list(inspect.signature(jb.fit).parameters)[-len(recipe_options.FIELDS) :] == recipe_options.FIELDS
+    recipe = [word.partition(":")[0].replace("-", "_") for word in fields.OLD["recipe"].split()]
+    assert recipe == [field.name for field in dataclasses.fields(jb.Recipe)]
+    assert list(inspect.signature(jb.fit).parameters)[-len(recipe) :] == recipe

@@ -1,4 +1,4 @@
-"""The option --lags: the windows of every command, kept with the model and with what was found."""
+"""Lags: the windows of every command, kept with the model and with what was found."""
 
 import json
 import shlex
@@ -33,7 +33,7 @@ def place(tmp_path, monkeypatch):
 
 
 def test_detect_tests_windows_with_lags_and_explain_finds_them_again(place, capsys):
-    assert main.main(["detect", "model.toml", "run.csv", "--lags", "3,1,0", "--out", "out"]) == 1
+    assert main.main(["detect", "model.toml", "run.csv", "--test", "lags=3,1,0", "--out", "out"]) == 1
     res = jb.detect(jb.parity_relations(paper(), lags=LAGS), *place)
     with open("out/verdicts.csv") as f:
         assert [line.split(",")[1] for line in f][1:] == [jb.Status(int(s)).name for s in res.status]
@@ -54,7 +54,7 @@ def test_the_lags_of_a_model_file_are_taken_and_a_horizon_takes_their_place(plac
     )
     assert main.main(["detect", "lags.toml", "run.csv", "--out", "out"]) == 1
     assert load_model("out/tested_model.toml").lags == LAGS
-    assert main.main(["detect", "lags.toml", "run.csv", "--horizon", "3", "--out", "out"]) == 1
+    assert main.main(["detect", "lags.toml", "run.csv", "--test", "horizon=3", "--out", "out"]) == 1
     assert load_model("out/tested_model.toml").lags is None
     assert windowed(model, None, (0, 2)).lags == (0, 2) and windowed(model, None, None) is model
 
@@ -62,12 +62,12 @@ def test_the_lags_of_a_model_file_are_taken_and_a_horizon_takes_their_place(plac
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (["--lags", "0,1", "--horizon", "3"], "not allowed with"),
-        (["--lags", "1,2"], "0 among them"),
-        (["--lags", "0,x"], "whole numbers"),
-        (["--lags", "0"], "do not outnumber"),
-        (["--lags", "0,70"], "one window needs 71"),
-        (["--lags", "0,1", "--method", "validation"], "--lags is for other methods"),
+        (["--test", "lags=0,1", "--test", "horizon=3"], "--test has horizon and lags"),
+        (["--test", "lags=1,2"], "0 among them"),
+        (["--test", "lags=0,x"], "whole numbers"),
+        (["--test", "lags=0"], "do not outnumber"),
+        (["--test", "lags=0,70"], "one window needs 71"),
+        (["--test", "lags=0,1", "--method", "validation"], "lags are for other methods"),
     ],
 )
 def test_what_is_wrong_with_lags_is_one_sentence(place, more, said, capsys):
@@ -86,8 +86,8 @@ def test_fit_keeps_lags_tune_moves_bounds_under_them_and_a_fleet_takes_them(plac
         "healthy.csv", np.column_stack([np.arange(200), u, y]), delimiter=",", header="t,u,y", comments=""
     )
     fit = ["fit", "healthy.csv", "--inputs", "u", "--outputs", "y"]
-    fit += ["--order", "1", "--method", "least squares", "--out", "fit.toml"]
-    assert main.main([*fit, "--lags", "0,2,5"]) == 0
+    fit += ["--out", "fit.toml", "--recipe"]
+    assert main.main([*fit, "order=1,lags=0,2,5,method=least squares"]) == 0
     assert "3 of 6 samples" in capsys.readouterr().out
     model = load_model("fit.toml")
     assert model.lags == (0, 2, 5) and jb.parity_relations(model).lags == (0, 2, 5)
@@ -95,14 +95,14 @@ def test_fit_keeps_lags_tune_moves_bounds_under_them_and_a_fleet_takes_them(plac
     assert res.counts["FAULT"] == res.counts["UNDECIDED"] == 0
     assert (
         main.main(
-            ["tune", "fit.toml", "healthy.csv", "--steps", "0", "--lags", "0,1,4", "--out", "tuned.toml"]
+            ["tune", "fit.toml", "healthy.csv", "--steps", "0", "--test", "lags=0,1,4", "--out", "tuned.toml"]
         )
         == 0
     )
     assert load_model("tuned.toml").lags == (0, 1, 4)
     with open("fleet.csv", "w") as f:
         f.write("unit,model,recording\nA,tuned.toml,healthy.csv\n")
-    assert main.main(["fleet", "fleet.csv", "--lags", "0,1,4", "--out", "fleet"]) == 0
+    assert main.main(["fleet", "fleet.csv", "--test", "lags=0,1,4", "--out", "fleet"]) == 0
 
 
 def test_fit_says_that_a_plant_remembers_longer_than_its_windows():
@@ -114,10 +114,10 @@ def test_fit_says_that_a_plant_remembers_longer_than_its_windows():
     assert [*_memory(slow.replace(horizon=60)), *_memory(slow.replace(lags=(0, 1)))] == []
 
 
-OBSERVES = "--method observer --observer joint --span 16 --order 5 --horizon 4 --overlap 20 --latched"
+OBSERVES = "--test observer=joint,window=16,order=5,horizon=4,latched=true --overlap 20"
 
 
-@pytest.mark.parametrize("options", ["--lags 0,4", "--method box --horizon 3", OBSERVES])
+@pytest.mark.parametrize("options", ["--test lags=0,4", "--test method=box,horizon=3", OBSERVES])
 def test_the_command_that_reports_on_all_shares_makes_the_same_test(options):
     from jaxbound.cli.main import commands
     from jaxbound.cli.share import same_test

@@ -92,10 +92,8 @@ class TestDetect:
             "faulty.csv",
             "--out",
             "out",
-            "--horizon",
-            "2",
-            "--method",
-            "box",
+            "--test",
+            "horizon=2,method=box",
             capsys=capsys,
         )
         data = np.genfromtxt(place / "faulty.csv", delimiter=",", skip_header=1)
@@ -206,7 +204,17 @@ class TestDetect:
         for name, text, expected in (("good.csv", lines, 0), ("jump.csv", jump, 1)):
             (tmp_path / name).write_text("\n".join([*text, ""]))
             assert (
-                run(tmp_path, "detect", "model.toml", name, "--out", "out", "--horizon", 4, capsys=capsys)[0]
+                run(
+                    tmp_path,
+                    "detect",
+                    "model.toml",
+                    name,
+                    "--out",
+                    "out",
+                    "--test",
+                    "horizon=4",
+                    capsys=capsys,
+                )[0]
                 == expected
             )
 
@@ -282,22 +290,31 @@ BAD_USAGE = {
         ["detect", "model.toml", "text.parquet", "--out", "out"],
         "text.parquet is no Parquet file",
     ),
-    "horizon 0": ([*DETECT, "--horizon", "0"], "horizon 0 gives no relation.* horizon with one is 1"),
+    "horizon 0": ([*DETECT, "--test", "horizon=0"], "horizon 0 gives no relation.* horizon with one is 1"),
     "window longer than the data": (
-        ["detect", "tiny.toml", "short.csv", "--out", "out", "--horizon", "5"],
+        ["detect", "tiny.toml", "short.csv", "--out", "out", "--test", "horizon=5"],
         "has 4 samples, one window needs 6",
     ),
-    "alarm 3/2": ([*DETECT, "--alarm", "3/2"], "--alarm needs k/n with 1 <= k <= n, like 3/5, not '3/2'"),
-    "alarm without n": ([*DETECT, "--alarm", "3"], "--alarm needs k/n"),
-    "unknown method": ([*DETECT, "--method", "best"], "--method must be one of windows, box, observer"),
+    "alarm 3/2": (
+        [*DETECT, "--alarm", "3/2"],
+        "--alarm needs a rule k/n with 1 <= k <= n, like 3/5, not '3/2'",
+    ),
+    "alarm without n": ([*DETECT, "--alarm", "3"], "--alarm needs a rule k/n"),
+    "unknown method": ([*DETECT, "--method", "best"], "method must be one of windows, box, observer"),
     "a method that is gone": (
         [*DETECT, "--method", "paving"],
         "'paving' is gone: \"windows\" decides the same",
     ),
-    "horizon in words": ([*DETECT, "--horizon", "two"], "--horizon needs a whole number >= 0"),
-    "horizon of another script": ([*DETECT, "--horizon", "\u0663"], "--horizon needs a whole number >= 0"),
+    "horizon in words": ([*DETECT, "--test", "horizon=two"], "horizon of --test must be a whole number >= 0"),
+    "horizon of another script": (
+        [*DETECT, "--test", "horizon=\u0663"],
+        "horizon of --test must be a whole number >= 0",
+    ),
     "coverage with an underscore": ([*DETECT, "--min-coverage", "0_0.5"], "--min-coverage needs a share"),
-    "sizes with an underscore": ([*DETECT, "--least", "1_0"], "--least needs a size > 0"),
+    "sizes with an underscore": (
+        [*DETECT, "--alarm", "least=1_0"],
+        "least of --alarm: '1_0' is not a finite number",
+    ),
     "coverage of 2": ([*DETECT, "--min-coverage", "2"], "--min-coverage needs a share"),
     "chunks of CSV": ([*DETECT, "--chunk", "9"], "--chunk is for Parquet: good.csv is read as a whole"),
     "no overlap of CSV": (
@@ -313,7 +330,7 @@ BAD_USAGE = {
     "unknown command": (["detekt"], r"there is no command 'detekt' \(did you mean detect\?\)"),
     "fit without outputs": (["fit", "good.csv", "--out", "m.toml"], "--outputs is needed: the columns that"),
     "info of nothing": (["info"], "needs either a model file or --template"),
-    "info of windows of a device": (["info", "--device", "--horizon", "3"], "none is given"),
+    "info of windows of a device": (["info", "--device", "--test", "horizon=3"], "none is given"),
     "out is a file": (
         ["detect", "model.toml", "good.csv", "--out", "good.csv"],
         "good.csv is a file: a folder is needed",
@@ -415,7 +432,7 @@ class TestOtherEnds:
         for args, text in (
             (["--version"], f"jaxbound {jb.__version__}"),
             (["--help"], "exit codes: 0 no fault, 1 fault found"),
-            (["detect", "--help"], "--min-coverage"),
+            (["detect", "--help", "all"], "--min-coverage"),
         ):
             assert main.main(args) == 0
             assert text in " ".join(capsys.readouterr().out.split())
@@ -435,7 +452,7 @@ class TestOtherEnds:
         assert re.search(
             r"tolerance +y1 0.02, y2 0.1 +\(origin|tolerance +none$", out, re.M
         ) and not re.search(r"none +\(origin", out)
-        assert "20 combinations" in run(place, "info", "model.toml", "--horizon", 2, capsys=capsys)[1]
+        assert "20 combinations" in run(place, "info", "model.toml", "--test", "horizon=2", capsys=capsys)[1]
 
     def test_template_is_a_model(self, tmp_path, capsys):
         assert main.main(["info", "--template"]) == 0
@@ -477,8 +494,8 @@ print(*sys.modules, file=sys.stderr)
         heavy = {"jax", "numpy", "pandas", "matplotlib", "scipy", "pyarrow", "rich", "jinja2", "optax"}
         assert heavy & {name.partition(".")[0] for name in done.stderr.split()} == set()
         shown = " ".join(done.stdout.split())
-        assert f"windows, {', '.join(interface.METHODS[1:])} (default: windows" in shown
-        assert f"; {VALIDATION} bounds states" in shown
+        for method in (*interface.METHODS[1:], VALIDATION):
+            assert f"method={method} (" in shown
 
     def test_no_command_waits_for_an_import_that_it_can_do_without(self, place):
         code = """
@@ -490,10 +507,10 @@ numpy = outside_xla()  # nothing is compiled, and what is imported is the same
 numpy.__enter__()
 main.main("detect model.toml faulty.csv --out out -q".split())
 print(*sys.modules, file=sys.stderr)
-fit = "fit good.csv --inputs u1 --outputs y1,y2 --order 1 --horizon 2 --held-out 0 --method windows"
+fit = "fit good.csv --inputs u1 --outputs y1,y2 --recipe order=1,horizon=2,held_out=0,method=windows"
 main.main(f"{fit} --out fitted.toml -q".split())
 print(*sys.modules, file=sys.stderr)
-main.main("study model.toml --faults y1:bias --sizes 1 --n 20 --samples 20 --out study -q".split())
+main.main("study model.toml --faults y1:bias --sizes 1 --n 20 --scenario samples=20 --out study -q".split())
 print(*sys.modules, file=sys.stderr)
 """
         settings = {**os.environ, "JAX_ENABLE_X64": "1"}

@@ -12,7 +12,6 @@ import pytest
 import jaxbound as jb
 from jaxbound.certificates.checker.script import main as checker
 from jaxbound.cli import main
-from jaxbound.cli.options import MethodOptions
 from jaxbound.cli.pipe import LiveRun, judge_stream
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.recordings.read import open_source
@@ -207,7 +206,7 @@ def test_a_page_of_windows_alone_warns_of_what_is_undecided(plant, tmp_path):
 
 
 def test_a_horizon_asks_for_windows_alone(plant, tmp_path, capsys):
-    assert detect(plant, tmp_path / "r", "--json", "--horizon", "1") == 1
+    assert detect(plant, tmp_path / "r", "--json", "--test", "horizon=1") == 1
     summary = json.loads(capsys.readouterr().out)
     assert summary["method"] == "joint" and "tests" not in summary
 
@@ -229,7 +228,7 @@ def test_alarms_of_a_monitor_are_those_of_its_verdicts(plant):
 
 def test_a_pipe_names_the_test_that_speaks_in_each_line(plant, tmp_path, capsysbinary):
     model, data = plant
-    code = judge_stream(LiveRun(model, options=MethodOptions(), json=True), [data.read_bytes()])
+    code = judge_stream(LiveRun(model, json=True), [data.read_bytes()])
     lines = [json.loads(line) for line in capsysbinary.readouterr().out.splitlines()]
     assert code == 1
     faults = [(k, line["test"]) for k, line in enumerate(lines) if line["status"] == "FAULT"]
@@ -241,7 +240,7 @@ def test_a_pipe_names_the_test_that_speaks_in_each_line(plant, tmp_path, capsysb
 def test_a_pipe_counts_by_test(plant, capfd):
     model, data = plant
     text = data.read_bytes()
-    judge_stream(LiveRun(model, options=MethodOptions()), [text[:400], text[400:]])
+    judge_stream(LiveRun(model), [text[:400], text[400:]])
     said = capfd.readouterr().err
     assert "test jumps: 31 MISSING, " in said, "in mode 2, and at the first sample"
     assert "test drifts: 2 MISSING, 55 CONSISTENT, 3 FAULT" in said, "the windows that hold sample 40"
@@ -249,7 +248,7 @@ def test_a_pipe_counts_by_test(plant, capfd):
 
 def test_a_pipe_names_the_test_by_which_an_alarm_begins(plant, capsysbinary):
     model, data = plant
-    judge_stream(LiveRun(model, options=MethodOptions(), json=True, alarm=AlarmRule()), [data.read_bytes()])
+    judge_stream(LiveRun(model, json=True, alarm=AlarmRule()), [data.read_bytes()])
     lines = [json.loads(line) for line in capsysbinary.readouterr().out.splitlines()]
     begun = [(line["sample"], line["test"]) for line in lines if line.get("alarm") == "begin"]
     assert begun == [(20, "jumps"), (40, "drifts")]
@@ -301,7 +300,19 @@ def test_shares_of_a_monitor_of_windows_are_the_whole(plant, tmp_path, monkeypat
     )
 
 
-@pytest.mark.parametrize(("rule", "tests"), [((), ["jumps", "drifts"]), (("--latch",), ["drifts"])])
+@pytest.mark.parametrize(
+    ("rule", "tests"),
+    [
+        ((), ["jumps", "drifts"]),
+        (
+            (
+                "--alarm",
+                "latch=true",
+            ),
+            ["drifts"],
+        ),
+    ],
+)
 def test_alarms_of_a_parquet_recording_name_their_test(rule, tests, plant, tmp_path, monkeypatch):
     model, data = plant
     pd.read_csv(data).to_parquet(tmp_path / "run.parquet")
@@ -317,7 +328,7 @@ def test_alarms_of_a_monitor_name_suspects_in_parts_and_through_a_pipe(plant, tm
     model.write_text(MODEL + '[[fault]]\nname = "float sticks"\noutput = "height"\n')
     pd.read_csv(data).to_parquet(tmp_path / "run.parquet")
     monkeypatch.setattr(streaming, "PART", 41)
-    rule = ("--suspects", "--least", "height=0.01")
+    rule = ("--alarm", "suspects=true,least.height=0.01")
     assert detect(plant, tmp_path / "whole", "-q", *rule) == 1
     assert detect((model, tmp_path / "run.parquet"), tmp_path / "parts", "-q", *rule) == 1
     lines = data.read_bytes().splitlines(keepends=True)

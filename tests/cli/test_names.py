@@ -30,7 +30,10 @@ def plant(tmp_path_factory):
         frame.to_csv(path / name, index=False)
     signals = ["--inputs", f"`{VALVE}`,`{HEATER}`", "--outputs", SUPPLY, "--where", f"`{MODE}` == 1"]
     files = [str(path / "a.csv"), str(path / "b.csv")]
-    assert main.main(["fit", *files, *signals, "--horizon", "6", "--out", str(path / "m.toml"), "-q"]) == 0
+    assert (
+        main.main(["fit", *files, *signals, "--recipe", "horizon=6", "--out", str(path / "m.toml"), "-q"])
+        == 0
+    )
     return path
 
 
@@ -79,7 +82,18 @@ def test_other_methods(plant, capsys, method):
     ],
 )
 def test_faults_of_a_study(plant, capsys, faults, signals):
-    words = ["study", plant / "m.toml", "--faults", faults, "--sizes", "1", "--n", "8", "--samples", "40"]
+    words = [
+        "study",
+        plant / "m.toml",
+        "--faults",
+        faults,
+        "--sizes",
+        "1",
+        "--n",
+        "8",
+        "--scenario",
+        "samples=40",
+    ]
     code, _, err = run(capsys, *words, "--out", plant / f"study {len(faults)}", "--json")
     assert code == 0, err
     summary = pd.read_csv(plant / f"study {len(faults)}" / "summary.csv")

@@ -15,7 +15,6 @@ from check_certificate import confirm
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli import pipe as piped
-from jaxbound.cli.options import MethodOptions
 from jaxbound.diagnosis.alarms import BEGAN_ANEW, ENDINGS
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.read import open_source
@@ -116,7 +115,7 @@ def test_a_report_shows_bands_and_says_when_the_observer_began_anew(place, capsy
         "what leaves the band of healthy readings is FAULT"
     )
     assert "contradicts all samples since" in page and "behind a contradiction it begins anew" in page
-    assert detect("--json", "--latched", out="latched") == 1
+    assert detect("--json", "--test", "latched=true", out="latched") == 1
     found = json.loads(capsys.readouterr().out)
     assert found["alarms"] == 1 and found["last_ended"] == ENDINGS[0] and found["counts"]["FAULT"] > 20
 
@@ -147,9 +146,7 @@ def test_explain_proves_a_contradiction_by_the_shortest_window_that_shows_it(pla
 def test_a_pipe_says_what_the_file_says_and_goes_on_behind_a_kill(place, capsysbinary):
     detect("-q", out="out")
     lines = (place / "run.csv").read_bytes().splitlines(keepends=True)
-    follow = partial(
-        piped.judge_stream, piped.LiveRun("plant.toml", MethodOptions("observer"), out=place / "pipe")
-    )
+    follow = partial(piped.judge_stream, piped.LiveRun("plant.toml", Ask("observer"), out=place / "pipe"))
     assert follow([b"".join(lines[:70]), None]) == 0
     with contextlib.closing(sqlite3.connect(place / "pipe/monitor.sqlite")) as database:
         ((memory,),) = database.execute("SELECT memory FROM checkpoint")
@@ -159,7 +156,16 @@ def test_a_pipe_says_what_the_file_says_and_goes_on_behind_a_kill(place, capsysb
     assert b"contradict the model and the samples before them" in capsysbinary.readouterr().err
 
 
-@pytest.mark.parametrize("method", [("--latched",), ()])
+@pytest.mark.parametrize(
+    "method",
+    [
+        (
+            "--test",
+            "latched=true",
+        ),
+        (),
+    ],
+)
 def test_parts_carry_on_and_are_made_again_where_they_are_lost(place, capsys, monkeypatch, method):
     detect("-q", *method, out="out")
     monkeypatch.setattr(streaming, "PART", 50)
@@ -207,7 +213,7 @@ def test_parts_with_an_observer_of_their_own_can_be_shared_and_say_what_one_says
     assert [row[1] for row in told(place / "one")] == each and "FAULT" in each
 
 
-JOINT = "--observer", "joint", "--span", "8"
+JOINT = "--test", "observer=joint", "--test", "window=8"
 
 
 @pytest.mark.long(by_day="test_a_pipe_says_what_the_file_says_and_goes_on_behind_a_kill")
@@ -222,7 +228,7 @@ def test_windows_that_remember_say_the_same_in_memory_in_parts_through_a_pipe_an
         jb.Status(s).name for s in res.status
     ]
     assert (res.margin < jb.detect(jb.observer(model), jb.read("run.csv", model)).margin).any(), (
-        "sharper than without --observer"
+        "sharper than without observer=joint"
     )
     first = int((res.status == jb.Status.FAULT).argmax())
     assert main.main(["explain", "out", "--at", str(first), "--json"]) == 0
@@ -231,8 +237,8 @@ def test_windows_that_remember_say_the_same_in_memory_in_parts_through_a_pipe_an
     monkeypatch.setattr(streaming, "LEAST", 1)
     assert detect("-q", *JOINT, "--chunk", "33", out="parts", data="run.parquet") == 1
     lines = (place / "run.csv").read_bytes().splitlines(keepends=True)
-    options = MethodOptions("observer", observer="joint", settings={"window": 8})
-    follow = partial(piped.judge_stream, piped.LiveRun("plant.toml", options, out=place / "pipe"))
+    ask = Ask.of_fields({"observer": "joint", "window": 8})
+    follow = partial(piped.judge_stream, piped.LiveRun("plant.toml", ask, out=place / "pipe"))
     assert follow([b"".join(lines[:70]), None]) == 0
     assert follow([b"".join(lines[70:100]), *lines[100:]]) == 1
     assert told(place / "pipe") == told(place / "parts") == told(place / "out")
@@ -251,7 +257,7 @@ def test_an_observer_has_the_order_that_is_asked_for(place, capsys, monkeypatch)
         raise ValueError(f"an observer of order {observer.order}")
 
     monkeypatch.setattr("jaxbound.runs.ask.detect", run)
-    assert detect("--order", "8", out="out") == 2
+    assert detect("--test", "order=8", out="out") == 2
     assert "an observer of order 8" in capsys.readouterr().err
 
 
@@ -272,7 +278,8 @@ def test_a_study_is_given_the_observer_that_is_asked_for(place, capsys, monkeypa
                 "--method",
                 "observer",
                 *JOINT,
-                "--latched",
+                "--test",
+                "latched=true",
             ]
         )
         == 2
@@ -308,17 +315,23 @@ def test_a_digest_proves_a_contradiction_from_few_samples(place, monkeypatch):
     [
         (("--overlap", "3"), "--overlap is for Parquet: run.csv is read as a whole"),
         (("--method", "joint", "--overlap", "3"), "overlap is for observers: windows know how far"),
-        (("--lags", "0,1"), "--lags is for windows: an observer looks at every sample"),
-        (("--method", "joint", "--order", "3"), "--order is for --method observer"),
-        (("--method", "box", "--latched"), "--latched is for --method observer"),
-        (("--method", "box", "--observer", "joint"), "--observer is for --method observer"),
-        (("--span", "8"), "--span is for --observer joint"),
-        (("--observer", "strips", "--span", "8"), "--span is for --observer joint"),
-        (("--observer", "constrained"), '"joint" sees at least as much: observer(model, method="joint")'),
-        (("--method", "box", "--span", "8"), "--span is for --method observer"),
+        (("--test", "lags=0,1"), "--test has lags and observer: a test looks back in one way"),
         (
-            ("--observer", "joint", "--span", "9"),
-            "--span: window must be an even number of samples >= 4",
+            ("--method", "joint", "--test", "order=3"),
+            'order of --test is for an observer: it has none, like observer = "joint"',
+        ),
+        (("--method", "box", "--test", "latched=true"), "latched of --test is for an observer"),
+        (("--method", "box", "--test", "observer=joint"), "method=box takes no observer"),
+        (("--test", "window=8"), "window is no option of the observer"),
+        (("--test", "observer=strips", "--test", "window=8"), "window is no option of the observer"),
+        (
+            ("--test", "observer=constrained"),
+            '"joint" sees at least as much: observer(model, method="joint")',
+        ),
+        (("--method", "box", "--test", "window=8"), "window of --test is for an observer"),
+        (
+            ("--test", "observer=joint", "--test", "window=9"),
+            "window must be an even number of samples >= 4",
         ),
         (("--part", "1/2"), "--part is for windows: an observer carries what it knows from sample to sample"),
     ],
@@ -368,19 +381,23 @@ def test_a_fleet_is_followed_side_by_side_and_says_what_each_unit_says_alone(pla
         and found["text"]["verdict"] == found["gone"]["verdict"] == "not tested"
     )
     assert found["short"]["samples"] == 100 and (place / "fleet/units").is_dir()
-    assert main.main(["fleet", "units.csv", "--out", "fleet", "--method", "observer", "--lags", "0,1"]) == 2
+    assert (
+        main.main(["fleet", "units.csv", "--out", "fleet", "--method", "observer", "--test", "lags=0,1"]) == 2
+    )
 
 
 def test_an_alarm_that_stays_ends_at_a_gap(place, capsys):
     table = pd.read_csv("run.csv")
     table.loc[table.index >= 130, "time"] += 7.0
     table.to_csv("gap.csv", index=False)
-    assert detect("--json", "--latched", out="latched", data="gap.csv") == 1
+    assert detect("--json", "--test", "latched=true", out="latched", data="gap.csv") == 1
     found, page = json.loads(capsys.readouterr().out), (place / "latched/report.html").read_text()
     ended = pd.read_csv("latched/alarms.csv")["ended"]
     assert ended[0].startswith("a gap ended it") and found["ended"][ended[0]] == 1
     assert not [
-        said for said in (page, *ended, *found["hints"]) if "began anew behind" in said or "--latched" in said
+        said
+        for said in (page, *ended, *found["hints"])
+        if "began anew behind" in said or "latched=true" in said
     ]
     assert any("ended at a gap" in hint for hint in found["hints"])
 
@@ -410,9 +427,8 @@ def test_bounds_found_for_shorter_windows_prove_no_fault(place, capsys, monkeypa
     assert unit["verdict"] == verdict and unit["summary"] == found["summary"]
     assert detect("--json", out="parts", data="run.parquet") == code
     assert json.loads(capsys.readouterr().out)["verdict"] == verdict
-    options = MethodOptions("observer")
+    ask = Ask("observer")
     assert (
-        piped.judge_stream(piped.LiveRun("plant.toml", options=options), [(place / "run.csv").read_bytes()])
-        == code
+        piped.judge_stream(piped.LiveRun("plant.toml", ask=ask), [(place / "run.csv").read_bytes()]) == code
     )
     assert f"{title}: " in capsys.readouterr().err

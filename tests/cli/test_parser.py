@@ -7,9 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxbound.cli import main, options
-from jaxbound.consistency.interface import METHODS
-from jaxbound.estimation import methods
+from jaxbound.cli import main
 
 CLI = Path(main.__file__).parent
 
@@ -24,9 +22,8 @@ CLI = Path(main.__file__).parent
             "there is no option --ot of jaxbound fleet (did you mean --out?); see jaxbound fleet --help",
         ),
         (
-            "detect m.toml d.csv --hoirzon=3 --out o",
-            "there is no option --hoirzon of jaxbound detect (did you mean --horizon?); see jaxbound detect "
-            "--help",
+            "detect m.toml d.csv --tset=3 --out o",
+            "there is no option --tset of jaxbound detect (did you mean --test?); see jaxbound detect --help",
         ),
         (
             "info --zzz",
@@ -44,9 +41,11 @@ def test_an_unknown_word_is_answered_by_the_nearest_in_one_sentence(line, senten
 
 
 def test_what_looks_like_an_option_may_be_a_value_or_a_short_form():
-    args = main._parse(["study", "m.toml", "--faults", "y:bias", "--out", "o", "--input-range", "-1:1"])
-    assert args.input_range == "-1:1"
-    assert main._parse(["info", "m.toml", "--hor", "3"]).horizon == 3
+    args = main._parse(
+        ["study", "m.toml", "--faults", "y:bias", "--out", "o", "--scenario", "input_range=-1:1"]
+    )
+    assert args.scenario == {"input_range": "-1:1"}
+    assert main._parse(["tune", "m.toml", "h.csv", "--out", "o", "--te", "horizon=3"]).test == {"horizon": 3}
     assert str(main._parse(["info", "--", "--m.toml"]).model) == "--m.toml"
 
 
@@ -70,8 +69,8 @@ def completed(line, folder):
 def test_completion_yields_commands_options_choices_and_files(tmp_path):
     (tmp_path / "plant.toml").touch()
     assert completed("jaxbound de", tmp_path) == {"demo", "detect"}
-    assert completed("jaxbound detect --me", tmp_path) == {"--merge", "--merge-alarms", "--method"}
-    assert completed("jaxbound detect --observer ", tmp_path) == set(methods.OBSERVERS)
+    assert completed("jaxbound detect --me", tmp_path) == {"--merge"}
+    assert completed("jaxbound detect --l", tmp_path) == {""}, "spellings of before"
     assert completed("jaxbound info pl", tmp_path) == {"plant.toml"}
 
 
@@ -94,16 +93,3 @@ def test_nobody_builds_a_namespace_by_hand():
     files = [*CLI.rglob("*.py"), *(CLI.parents[1] / "tests").rglob("*.py")]
     call = "argparse.Namespace" + "("
     assert len(files) > 100 and not [path for path in files if call in path.read_text()]
-
-
-def test_methods_are_those_of_the_tests_of_windows():
-    assert tuple(map(options.method_name, options.METHODS.split(", "))) == METHODS
-
-
-def test_an_observer_lists_its_own_options_for_every_command_that_observes():
-    detect = main.commands()["detect"]
-    for kind in methods.OBSERVERS.values():
-        assert f"{kind.name}: {kind.about}" in " ".join(detect.format_help().split())
-        for option in kind.shell:
-            args = detect.parse_args(["m.toml", "d.csv", option.flag, str(option.least)])
-            assert options.MethodOptions.of(args).settings == {option.field: option.least}

@@ -20,10 +20,10 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import evaluation, main
 from jaxbound.cli import pipe as piped
-from jaxbound.cli.options import MethodOptions
 from jaxbound.recordings.csvtext import sniff
 from jaxbound.recordings.linetext import FEW, LineReader
 from jaxbound.runs import journal, rows
+from jaxbound.runs.ask import Ask
 from jaxbound.runs.refusals import Refused
 
 N = 300
@@ -78,7 +78,7 @@ def pipe(capsysbinary, place):
         pieces = chunks or [data[a:b] for a, b in zip(cuts, cuts[1:], strict=False)]
         model = changes.pop("model", "model.toml")
         test = {name: changes.pop(name) for name in ("method", "horizon", "lags") if name in changes}
-        code = piped.judge_stream(piped.LiveRun(model, MethodOptions(**test), **changes), pieces)
+        code = piped.judge_stream(piped.LiveRun(model, Ask(**test), **changes), pieces)
         out, err = (x.decode() for x in capsysbinary.readouterr())
         return code, out.removeprefix("time,status,margin\n"), err.replace("jaxbound: ", "")
 

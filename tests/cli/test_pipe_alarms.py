@@ -9,17 +9,16 @@ import pytest
 import jaxbound as jb
 from jaxbound.cli import evaluation, main
 from jaxbound.cli import pipe as piped
-from jaxbound.cli.options import MethodOptions
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.runs import journal
 from jaxbound.runs.refusals import Refused
 
 RULES = {
     "--alarm 2/3": AlarmRule(2, 3),
-    "--merge-alarms 6": AlarmRule(merge=6),
-    "--latch": AlarmRule(latch=True),
-    "--latch --acknowledged seen.txt": AlarmRule(latch=True, acknowledged="seen.txt"),
-    "--alarm 2/4 --suspects --least y1=0.25": AlarmRule(2, 4, suspects=True, least={"y1": 0.25}),
+    "--alarm merge=6": AlarmRule(merge=6),
+    "--alarm latch=true": AlarmRule(latch=True),
+    "--alarm latch=true,acknowledged=seen.txt": AlarmRule(latch=True, acknowledged="seen.txt"),
+    "--alarm 2/4,suspects=true,least.y1=0.25": AlarmRule(2, 4, suspects=True, least={"y1": 0.25}),
 }
 
 
@@ -61,7 +60,7 @@ def send(capsysbinary, place):
     def sent(lines, size=1000, rule=None, **changes):
         capsysbinary.readouterr()
         pieces = ["".join(lines[k : k + size]).encode() for k in range(0, len(lines), size)]
-        piped.judge_stream(piped.LiveRun("model.toml", MethodOptions(), alarm=rule, **changes), pieces)
+        piped.judge_stream(piped.LiveRun("model.toml", alarm=rule, **changes), pieces)
         return capsysbinary.readouterr().out.decode().splitlines()
 
     return sent
@@ -152,9 +151,7 @@ def test_an_operator_acknowledges_while_samples_come(text, place, capsysbinary):
             if k == 110:
                 seen.write_text("soon\n53.5\n")
 
-    assert (
-        piped.judge_stream(piped.LiveRun("model.toml", MethodOptions(), alarm=rule, json=True), pieces()) == 1
-    )
+    assert piped.judge_stream(piped.LiveRun("model.toml", alarm=rule, json=True), pieces()) == 1
     out, err = capsysbinary.readouterr()
     told = [line for line in map(json.loads, out.decode().splitlines()) if "alarm" in line]
     ends = [(line["time"], line["ended"]) for line in told if line["alarm"] == "end"]
@@ -169,7 +166,7 @@ def test_the_cause_stands_in_lines_tables_and_the_summary(text, place, send, cap
     rule = AlarmRule(2, 3, suspects=True)
     lines = [json.loads(line) for line in send(text[:130], 9, rule, out=place / "out", json=True)]
     told = [(line["alarm"], line["cause"]) for line in lines if line.get("alarm")]
-    main.main("detect model.toml run.csv --out file --alarm 2/3 --suspects --json".split())
+    main.main("detect model.toml run.csv --out file --alarm 2/3,suspects=true --json".split())
     summary = json.loads(capsysbinary.readouterr().out)
     causes = pd.read_csv("file/alarms.csv", keep_default_na=False).cause.tolist()
     assert causes == pd.read_csv("out/alarms.csv", keep_default_na=False).cause.tolist()

@@ -12,9 +12,8 @@ from systems import paper
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.cli import pipe as piped
-from jaxbound.cli.options import OUTSIDE, MethodOptions
-from jaxbound.consistency import claims
 from jaxbound.runs import journal
+from jaxbound.runs.ask import Ask
 
 T = 120
 COLUMNS = ["outside", "outside_by", "outside_at"]
@@ -121,16 +120,14 @@ def test_a_pipe_says_the_same_line_by_line(options, place, capsysbinary):
         capsysbinary.readouterr()
         ends = [0, *cuts, len(data)]
         pieces = [data[a:b] for a, b in zip(ends, ends[1:], strict=False)]
-        piped.judge_stream(
-            piped.LiveRun("tank.toml", options=MethodOptions(**options), out=place / name), pieces
-        )
+        piped.judge_stream(piped.LiveRun("tank.toml", ask=Ask(**options), out=place / name), pieces)
         out, err = capsysbinary.readouterr()
         assert (place / name / "verdicts.csv").read_bytes() == expected.replace(
             b"t,status", b"time,status", 1
         )
         assert out.splitlines() == [row.rpartition(b",")[0] for row in expected.splitlines()]
         assert b"training: " in err
-    piped.judge_stream(piped.LiveRun("tank.toml", options=MethodOptions(**options), json=True), [data])
+    piped.judge_stream(piped.LiveRun("tank.toml", ask=Ask(**options), json=True), [data])
     lines = [json.loads(line) for line in capsysbinary.readouterr().out.splitlines()]
     rows = rows_of("whole/verdicts.csv")
     for line, row in zip(lines, rows, strict=True):
@@ -144,21 +141,20 @@ def test_a_pipe_says_the_same_line_by_line(options, place, capsysbinary):
 def test_a_pipe_that_was_stopped_goes_on_with_what_it_knows(method, place, capsysbinary):
     """The window behind the cut reads inputs from before it, and so does an observer's step."""
     text = (place / "run.csv").read_bytes().splitlines(keepends=True)
-    options = MethodOptions(method=method)
-    piped.judge_stream(piped.LiveRun("tank.toml", options=options, out=place / "one"), [b"".join(text)])
+    ask = Ask(method)
+    piped.judge_stream(piped.LiveRun("tank.toml", ask=ask, out=place / "one"), [b"".join(text)])
     whole = capsysbinary.readouterr().err.splitlines()
     counted = [line for line in whole if line.startswith(b"jaxbound: training: ")]
     for cut in (75, 76):
         out = place / f"out{cut}"
-        piped.judge_stream(piped.LiveRun("tank.toml", options=options, out=out), [b"".join(text[:cut])])
-        piped.judge_stream(piped.LiveRun("tank.toml", options=options, out=out), [b"".join(text)])
+        piped.judge_stream(piped.LiveRun("tank.toml", ask=ask, out=out), [b"".join(text[:cut])])
+        piped.judge_stream(piped.LiveRun("tank.toml", ask=ask, out=out), [b"".join(text)])
         assert (out / "verdicts.csv").read_bytes() == (place / "one/verdicts.csv").read_bytes()
         assert counted[0] == counted[-1] in capsysbinary.readouterr().err.splitlines()
 
 
 def test_undecided_claims_nothing_outside(place, capsys):
-    assert OUTSIDE == claims.OUTSIDE
-    args = ["tank.toml", "run.csv", "--outside", "undecided", "--json"]
+    args = ["tank.toml", "run.csv", "--test", "outside=undecided", "--json"]
     found = json.loads(shell(capsys, "detect", *args, "--out", "out"))
     plain = result()
     assert found["counts"]["FAULT"] == plain.counts["FAULT"] - plain.beyond.faults > 0
@@ -180,14 +176,14 @@ def test_what_was_begun_with_one_word_is_not_gone_on_with_by_another(place, caps
     text = (place / "run.csv").read_bytes()
     piped.judge_stream(piped.LiveRun("tank.toml", out=place / "live"), [text])
     with pytest.raises(Exception, match="is of another word outside training"):
-        other = MethodOptions(outside="undecided")
-        piped.judge_stream(piped.LiveRun("tank.toml", options=other, out=place / "live"), [text])
+        other = Ask(outside="undecided")
+        piped.judge_stream(piped.LiveRun("tank.toml", ask=other, out=place / "live"), [text])
 
 
 def test_validation_takes_no_such_word(place, capsys):
     args = ["detect", "tank.toml", "run.csv", "--out", "out", "--method", "validation"]
-    assert main.main([*args, "--outside", "undecided"]) == 2
-    assert "--outside is for other methods: validation does not ask" in capsys.readouterr().err
+    assert main.main([*args, "--test", "outside=undecided"]) == 2
+    assert "outside is for other methods: validation does not ask" in capsys.readouterr().err
 
 
 def test_without_ranges_no_word_is_said(place, capsys):
@@ -229,7 +225,7 @@ def test_a_fleet_says_it_of_each_unit(args, place, capsys):
         assert row["outside_by"] == one["outside"]["words"]
     assert f"{one['outside']['windows']} windows outside training" in (place / "out/fleet.html").read_text()
     assert "outside" in shell(capsys, "fleet", "fleet.csv", "--out", "again", *args)
-    args = ["--outside", "undecided", *args]
+    args = ["--test", "outside=undecided", *args]
     claimed = json.loads(shell(capsys, "fleet", "fleet.csv", "--out", "third", "--json", *args))
     assert all(unit["outside"]["faults"] == 0 < unit["outside"]["unclaimed"] for unit in claimed["units"])
 

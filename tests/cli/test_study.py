@@ -41,8 +41,8 @@ def run(model, out, *more):
             "0.1:5:3",
             "--n",
             "9000",
-            "--samples",
-            "60",
+            "--scenario",
+            "samples=60",
             "--seed",
             "3",
             "--out",
@@ -54,7 +54,7 @@ def run(model, out, *more):
 
 def test_a_study_writes_tables_and_a_page_and_prints_what_it_found(model, tmp_path, capsys):
     out = tmp_path / "out"
-    assert run(model, out, "--onset", "20:25", "--input-range", "-2:2", "--hold", "7", "--rows") == 0
+    assert run(model, out, "--scenario", "onset=20:25,input_range=-2:2,hold=7", "--rows") == 0
     said = capsys.readouterr()
     assert "detected: share of scenarios with a FAULT" in " ".join(said.out.split())
     assert "0 false alarms in" in said.out and "y1:bias" in said.out and said.err == ""
@@ -105,7 +105,7 @@ def test_an_interrupted_command_goes_on_and_says_so(model, tmp_path, capsys, mon
     told = json.loads(capsys.readouterr().out.split("\n}")[0] + "\n}")
     assert told["false_alarms"] == 0 and told["scenarios"] == 9000 and told["cells"][0]["fault"] == "y1:bias"
     assert (out / "summary.csv").read_text() == (whole / "summary.csv").read_text()
-    assert run(model, out, "--at", "vertices") == 2
+    assert run(model, out, "--scenario", "at=vertices") == 2
     assert "study.npz is of another at" in capsys.readouterr().err
 
 
@@ -114,9 +114,9 @@ def test_an_interrupted_command_goes_on_and_says_so(model, tmp_path, capsys, mon
     [
         ("'Level 1' is the column of the signal y1", ["--faults", "Level 1:bias"]),
         ("--sizes needs lo:hi:count", ["--sizes", "a:b"]),
-        ("--input-range needs lo:hi", ["--input-range", "3"]),
-        ("--onset needs", ["--onset", "1.5:3"]),
-        ("at must be one of", ["--at", "corners"]),
+        ("input_range of --scenario needs lo:hi", ["--scenario", "input_range=3"]),
+        ("onset of --scenario needs", ["--scenario", "onset=1.5:3"]),
+        ("at must be one of", ["--scenario", "at=corners"]),
         ("the model has no signal", ["--faults", "y9:bias"]),
         ("needs a whole number >= 1", ["--n", "0"]),
     ],

@@ -206,7 +206,7 @@ def test_comments_order_and_spacing_of_a_model_file_stay(plant, capsys):
 
 def test_windows_that_an_option_asks_for_stand_above_the_tables(plant, capsys):
     (plant / "rig.toml").write_text(WRITTEN)
-    assert tune(plant, "--steps", "0", "--lags", "0,1,3") == 0
+    assert tune(plant, "--steps", "0", "--test", "lags=0,1,3") == 0
     assert jb.load_model(plant / "out.toml").lags == (0, 1, 3)
     text = (plant / "out.toml").read_text()
     assert text.startswith("# Rig of the cellar") and text.index("lags") < text.index("[[inputs]]")

@@ -117,7 +117,7 @@ class TestFiles:
     ("recording", "options", "says"),
     [
         ({}, ("--chunk", "70000"), "--chunk is for other methods"),
-        ({}, ("--horizon", "0"), "horizon must be a whole number >= 1"),
+        ({}, ("--test", "horizon=0"), "horizon must be a whole number >= 1"),
         ({"blank": [(0, 2)]}, (), "y1 is missing at 0 s, and for validation the first 2 samples say"),
         (
             {"blank": [(9, 1)]},

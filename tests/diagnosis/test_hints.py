@@ -67,7 +67,9 @@ def test_the_shell_prints_what_a_result_says(tmp_path, monkeypatch, capsys):
     y = np.cumprod(np.full(30, 0.5))[:, None] * [1, 1] + [[3.0, 2.0]]
     y[4, 0] = np.nan
     pd.DataFrame({"y1": y[:, 0], "y2": y[:, 1]}).to_csv("run.csv", index=False)
-    assert main.main(["detect", "plant.toml", "run.csv", "--horizon", "3", "--out", "out", "--json"]) == 3
+    assert (
+        main.main(["detect", "plant.toml", "run.csv", "--test", "horizon=3", "--out", "out", "--json"]) == 3
+    )
     told = json.loads(capsys.readouterr().out)
     of = jb.detect(jb.parity_relations(plant, 3), jb.read("run.csv", plant))
     plain = jb.detect(jb.parity_relations(plant, 3), None, y)

@@ -144,7 +144,7 @@ class TestTemplate:
     def test_info_shows_its_disturbance_and_each_relation_once(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(main, "_configure", lambda: None)
         (tmp_path / "m.toml").write_text(template())
-        assert main.main(["info", str(tmp_path / "m.toml"), "--horizon", "6"]) == 0
+        assert main.main(["info", str(tmp_path / "m.toml"), "--test", "horizon=6"]) == 0
         out = " ".join(capsys.readouterr().out.split())
         assert (
             "disturbance w1 in [0, 0.001] (assumed)" in out and out.count("w1[") == 1 and "the 2 below" in out

@@ -170,7 +170,9 @@ def test_the_shell_takes_the_names(tmp_path, monkeypatch):
     )
     signals = ["--inputs", "sun=sin(2*pi*time_of_day/86400),time_since_start,level", "--outputs", "y1"]
     where = ["--where", "time_of_day > 3600"]
-    assert main.main(["fit", "run.csv", *signals, *where, "--horizon", "5", "--out", "m.toml", "-q"]) == 0
+    assert (
+        main.main(["fit", "run.csv", *signals, *where, "--recipe", "horizon=5", "--out", "m.toml", "-q"]) == 0
+    )
     model = jb.load_model("m.toml")
     assert model.column("sun") == "= sin(2*pi*time_of_day/86400)"
     assert model.column("time_since_start") == "= time_since_start"

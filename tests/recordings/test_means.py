@@ -222,7 +222,7 @@ def test_fit_keeps_the_interval_and_detect_judges_by_it(tmp_path, monkeypatch, c
         frame = pd.DataFrame({"time": time, "u": u, "y": x + rng.uniform(-0.01, 0.01, len(u))})
         frame["y"] += np.where((seed == 2) & (frame.index > 6000), 0.5, 0)
         frame.to_csv(name, index=False)
-    options = ["--inputs", "u", "--outputs", "y", "--every", "20s", "--horizon", "8"]
+    options = ["--inputs", "u", "--outputs", "y", "--every", "20s", "--recipe", "horizon=8"]
     assert main.main(["fit", "a.csv", "b.csv", *options, "--out", "plant.toml", "-q"]) == 0
     model = jb.load_model("plant.toml")
     assert model.dt == 20 and model.columns["every"] == "20s"

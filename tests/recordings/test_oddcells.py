@@ -173,7 +173,18 @@ def test_the_shell_says_it(tmp_path, monkeypatch, capsys):
     changes = {(k + 2, "u1"): str(x) for k, x in enumerate(rng.integers(0, 5, 400).tolist())}
     changes |= {(k + 2, "y1"): f"{x:.3f}" for k, x in enumerate(rng.normal(size=400).tolist())}
     (tmp_path / "run.csv").write_text(table({**changes, (12, "y1"): "Bad", (40, "y1"): "#VALUE!"}, 400))
-    command = ["fit", "run.csv", "--inputs", "u1", "--outputs", "y1", "--out", "m.toml", "--horizon", "4"]
+    command = [
+        "fit",
+        "run.csv",
+        "--inputs",
+        "u1",
+        "--outputs",
+        "y1",
+        "--out",
+        "m.toml",
+        "--recipe",
+        "horizon=4",
+    ]
     assert main.main([*command, "--where", "fan > 0"]) == 0
     out = re.sub(r"\s+", " ", capsys.readouterr().out)
     assert "one cell of column 'y1' holds an error of a spreadsheet, the first #VALUE! in row 40" in out

@@ -225,8 +225,8 @@ def test_a_recording_too_short_is_found_out_before_relations_are_made(tmp_path, 
             str(tmp_path / "r.csv"),
             "--out",
             str(tmp_path / "out"),
-            "--horizon",
-            horizon,
+            "--test",
+            f"horizon={horizon}",
         ]
         assert cli.main(args) == 2
         assert "the recording has 201 samples, one window needs" in capsys.readouterr().err

@@ -139,7 +139,7 @@ def test_a_slow_plant_shows_the_onset_alone():
         "the alarm may have ended because the onset left the window: repaired or lasting; windows of 4 "
         "samples are sure to show a constant "
         f"error that lasts from y1 {sizes['y1']:.3g} degC, y2 {sizes['y2']:.3g}, u1 {sizes['u1']:.3g} on; "
-        "smaller ones may show in a longer --horizon, or with the lags of jb.suggest_lags(model); "
+        "smaller ones may show in a longer horizon, or with the lags of jb.suggest_lags(model); "
         "bounds from data must be fitted for these again"
     ]
     u, y = recorded(HEATER, jb.Fault("y1", "bias", 1.01 * sizes["y1"], ONSET))  # what is sure to be seen is

@@ -81,7 +81,7 @@ def refused(args, sentence, capsys):
 SIGHUP = getattr(signal, "SIGHUP", None)  # Windows has none
 DETECT = ["detect", "model.toml", "run.csv", "--out", "out"]
 PARQUET = ["detect", "model.toml", "parts", "--out", "out"]
-FIT = ["fit", "run.csv", "--inputs", "u1", "--outputs", "y1", "--horizon", "4", "--out"]
+FIT = ["fit", "run.csv", "--inputs", "u1", "--outputs", "y1", "--recipe", "horizon=4", "--out"]
 WRITTEN = {"verdicts.csv", "alarms.csv", "run.json", "tested_model.toml"}
 TUNE = ["tune", "model.toml", "run.csv", "--steps", "0", "--out"]
 NAMES = {
@@ -427,8 +427,8 @@ class TestFolder:
                     "--rows",
                     "--n",
                     "10",
-                    "--samples",
-                    "40",
+                    "--scenario",
+                    "samples=40",
                     "--out",
                     "out",
                 ],

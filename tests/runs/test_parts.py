@@ -321,12 +321,12 @@ class TestCommand:
         assert {p.name for p in (place / "out").iterdir()} == {p.name for p in (place / "one").iterdir()}
 
     def test_a_share_says_what_it_did_and_what_comes_next(self, place, capsys):
-        assert main.main([*DETECT, "out", "--part", "2/3", "--horizon", "2"]) == 0
+        assert main.main([*DETECT, "out", "--part", "2/3", "--test", "horizon=2"]) == 0
         said = capsys.readouterr().out
         assert said.startswith(
             "Part 2/3 is done: the verdicts of samples 2048 to 4095 are in out/verdicts.partial\n"
         )
-        assert "jaxbound detect --merge model.toml run --out out --horizon 2" in said
+        assert "jaxbound detect --merge model.toml run --out out --test horizon=2" in said
 
     def test_a_share_of_nothing_is_done(self, place, capsys):
         assert main.main([*DETECT, "out", "--part", "1/7"]) == 0

@@ -53,7 +53,7 @@ def test_alarms_of_parts_are_those_of_the_whole(recording, rule, tmp_path, monke
     assert len(list((tmp_path / "out/verdicts.parquet").iterdir())) == 8
 
 
-@pytest.mark.parametrize("options", [[], ["--suspects"]])
+@pytest.mark.parametrize("options", [[], ["--alarm", "suspects=true"]])
 def test_times_in_alarms_are_written_one_way_in_csv_and_parquet(recording, tmp_path, monkeypatch, options):
     """Time stamps came with six or nine digits behind each second."""
     _, u, y = recording

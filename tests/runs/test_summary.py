@@ -107,7 +107,7 @@ def test_bounds_from_data_are_asked_whether_they_hold_so_long():
     assert said.startswith(
         "the bounds were found from data for windows of 4 samples, and these windows reach over 9: "
     )
-    assert said.endswith("fit again with --horizon 8") and bound_hints(fitted, lags)[0].endswith(
-        "fit again with --lags 0,3,9"
+    assert said.endswith("fit again with --recipe horizon=8") and bound_hints(fitted, lags)[0].endswith(
+        "fit again with --recipe lags=0,3,9"
     )
     assert "an observer looks back on all samples" in bound_hints(fitted, jb.observer(fitted))[0]

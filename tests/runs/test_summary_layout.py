@@ -95,18 +95,21 @@ def test_every_command_has_one_layout(place, capsys):
 
 def test_files_parquet_and_fleets_end_the_same_alarm_by_an_acknowledgement(place, capsys):
     (place / "seen.txt").write_text("95, J. Smith\n")
-    rule = "--latch", "--acknowledged", "seen.txt"
+    rule = "--alarm", "latch=true", "--alarm", "acknowledged=seen.txt"
     for data in ("run.csv", "run.parquet"):
         assert shell(capsys, "detect", "m.toml", data, *rule)[1]["ended"] == {"acknowledged": 1}
     assert shell(capsys, "fleet", "fleet.csv", *rule)[1]["units"][0]["ended"] == {"acknowledged": 1}
     rows = "good,m.toml,run.csv,", "other,m.toml,run.csv,seen.txt"  # the file of one unit alone
     (place / "units.csv").write_text("\n".join(["unit,model,recording,acknowledged", *rows]) + "\n")
-    units = {unit["unit"]: unit for unit in shell(capsys, "fleet", "units.csv", "--latch")[1]["units"]}
+    units = {
+        unit["unit"]: unit
+        for unit in shell(capsys, "fleet", "units.csv", "--alarm", "latch=true")[1]["units"]
+    }
     assert units["other"]["ended"] == {"acknowledged": 1} and "acknowledged" not in units["good"]["ended"]
     units = {unit["unit"]: unit for unit in shell(capsys, "fleet", "units.csv")[1]["units"]}
     assert "give latch, too" in units["other"]["summary"]
-    assert main.main(["detect", "m.toml", "run.csv", "--out", "out", *rule[1:]]) == 2
-    assert "give --latch, too" in capsys.readouterr().err
+    assert main.main(["detect", "m.toml", "run.csv", "--out", "out", *rule[2:]]) == 2
+    assert "give latch, too" in capsys.readouterr().err
 
 
 def test_the_pipe_says_what_detect_says(place, capsys):

@@ -148,10 +148,9 @@ def _options(method: ObserverMethod) -> dict[str, Any]:
     """Return the fields of a test by an observer: latched, and what is not as usual of its method."""
     options: dict[str, Any] = {"observer": method.name, "latched": True}
     usual = type(method)()
-    for option in method.shell:
-        value = getattr(method, option.field)
-        if value != getattr(usual, option.field):
-            options[option.field] = int(value)
+    for name, value in vars(method).items():
+        if value != getattr(usual, name):
+            options[name] = int(value)
     return options
 
 

@@ -142,8 +142,15 @@ def test_the_command_writes_the_choice_and_shows_what_was_tried(tables, tmp_path
     monkeypatch.chdir(tmp_path)
     for name, table in zip("ab", tables, strict=True):
         table.to_csv(f"{name}.csv", index=False)
-    words = "fit a.csv b.csv --dt 1 --order 1 --horizon 5 --signals auto --out m.toml".split()
-    words += ["--method", "least squares", "--inputs", "valve=Valve 1,lift=T-Tmix", "--outputs", "y"]
+    words = "fit a.csv b.csv --dt 1 --out m.toml".split()
+    words += [
+        "--recipe",
+        "order=1,horizon=5,signals=auto,method=least squares",
+        "--inputs",
+        "valve=Valve 1,lift=T-Tmix",
+        "--outputs",
+        "y",
+    ]
     assert main.main(words) == 0
     shown = capsys.readouterr().out
     assert "signals: with valve*lift" in shown and "taken: needs" in shown

@@ -104,8 +104,8 @@ def test_the_command_shows_each_test_with_its_factor(rng, tmp_path, capsys):
         u, y = recorded(rng)
         np.savetxt(tmp_path / name, np.hstack([u, y]), delimiter=",", header="u,y", comments="", fmt="%.6f")
         files.append(str(tmp_path / name))
-    given = ["fit", *files, "--inputs", "u", "--outputs", "y", "--dt", "1", "--order", "1", "--test", "auto"]
-    given += ["--method", "least squares", "--force", "--out", str(tmp_path / "m.toml")]
+    given = ["fit", *files, "--inputs", "u", "--outputs", "y", "--dt", "1", "--recipe"]
+    given += ["order=1,test=auto,method=least squares", "--force", "--out", str(tmp_path / "m.toml")]
     assert main([*given, "--json"]) == 0
     tests = json.loads(capsys.readouterr().out)["tests"]
     assert [test["chosen"] for test in tests].count(True) == 1
