@@ -128,6 +128,7 @@ def in_numpy(request):
     kernel.compile("always")  # what is not evaluated, whatever the module before said
     with kernel.outside_xla(request.node.get_closest_marker("compiled") is None):
         yield
+    kernel.compile()  # examples of docstrings say what users see
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -33,6 +33,7 @@ def test_without_anything_forgotten_it_encloses_the_exact_hull(shared):
     np.testing.assert_allclose([lo, hi], exact, atol=1e-8)
 
 
+@pytest.mark.usefixtures("searched_in_numpy")
 def test_it_proves_what_programs_over_all_samples_refute_and_nothing_else():
     proved, possible, wider = jumps_near_the_boundary(**JOINT)
     assert possible >= 10 and proved >= 0.9 * possible

@@ -227,6 +227,7 @@ def many_laid_end_to_end(rng, seeds, N, block, **how):
     return samples
 
 
+@pytest.mark.usefixtures("searched_in_numpy")
 def test_random_plants_laid_end_to_end(rng):
     assert many_laid_end_to_end(rng, [8], 24, 4, method="joint", window=8, order=6) > 24 * 12
 

@@ -89,7 +89,7 @@ def test_faults_that_only_averages_show_are_those_of_programs():
     """An offset within the noise, or little beyond it: what one window over all samples proves, and its
     states, are those of HiGHS.
     """
-    N, T, x0 = 24, 14, ([-5.0, -5.0], [5.0, 5.0])
+    N, T, x0 = 12, 14, ([-5.0, -5.0], [5.0, 5.0])
     u, _, y = drawn(N, T, 2)
     y[:, 5:, 0] += np.linspace(0, 0.6, N)[:, None]
     y[:, 3, 0] = np.where(np.arange(N) % 5 == 4, np.nan, y[:, 3, 0])
@@ -111,7 +111,7 @@ def test_faults_that_only_averages_show_are_those_of_programs():
         f"{proved} of {refuted} contradictions proved, {alone} by averages alone; ends of states off by "
         f"{np.round(np.sort(apart), 6)}"
     )
-    assert refuted > 5 and alone >= 2 and proved == refuted and max(apart) < 1e-6
+    assert refuted > 3 and alone >= 2 and proved == refuted and max(apart) < 1e-6
 
 
 def fault_free(seeds, N, T):
