@@ -6,6 +6,7 @@ import gc
 import importlib
 import json
 import os
+import sys
 import zlib
 from pathlib import Path
 
@@ -27,6 +28,11 @@ def pytest_configure(config):
     """
     # a twelfth of all time went into looking for garbage among what jax keeps
     gc.set_threshold(20_000, 20, 20)
+    if (
+        sys.platform == "linux"
+    ):  # pages of arrays that are given back are kept: asking for them takes time, too
+        for option, size in ((M_MMAP_THRESHOLD, 2**25), (M_TRIM_THRESHOLD, 2**28)):
+            ctypes.CDLL(None).mallopt(option, size)
     hypothesis.settings.register_profile(
         "named",
         derandomize=os.environ.get("JAXBOUND_SEED") != "fresh",
@@ -40,6 +46,9 @@ def pytest_configure(config):
     # small ones too: eager code is made of them
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+"""Options of the allocator of glibc."""
 
 BY_NIGHT = Path(__file__).with_name("by_night.txt")
 """Names of tests that take seconds, beside a smaller case of the same; `.ci/night.py` writes it."""

@@ -22,18 +22,18 @@ from jaxbound.recordings.read import open_source
 from jaxbound.runs import parts, streaming
 from jaxbound.runs.ask import Ask
 
-T, ONSET = 100, 50
+T, ONSET = 110, 60
 
 
 @pytest.fixture(scope="module")
 def signals():
-    """Return u, y of a slow plant whose first sensor drifts from sample 50 on; some samples are missing,
+    """Return u, y of a slow plant whose first sensor drifts from sample 60 on; some samples are missing,
     there is a gap behind 40.
     """
     rng, x, u = (
         np.random.default_rng(3),
         np.zeros(2),
-        np.repeat(np.random.default_rng(4).uniform(0, 2, 16), 10).round(3),
+        np.repeat(np.random.default_rng(4).uniform(0, 2, T // 10), 10).round(3),
     )
     y = np.zeros((T, 2))
     for k in range(T):
@@ -125,7 +125,7 @@ def test_a_healthy_recording_is_no_fault_though_nothing_is_proved_consistent(pla
     pd.read_csv("run.csv").iloc[:ONSET].to_csv("healthy.csv", index=False)
     assert detect("-q", out="out", data="healthy.csv") == 0
     assert capsys.readouterr().out.startswith(
-        "No fault found: none of 48 samples is proved to contradict the model and the samples before"
+        "No fault found: none of 58 samples is proved to contradict the model and the samples before"
     )
 
 
@@ -373,7 +373,7 @@ def test_a_fleet_is_followed_side_by_side_and_says_what_each_unit_says_alone(pla
 
 def test_an_alarm_that_stays_ends_at_a_gap(place, capsys):
     table = pd.read_csv("run.csv")
-    table.loc[table.index >= 80, "time"] += 7.0
+    table.loc[table.index >= 90, "time"] += 7.0
     table.to_csv("gap.csv", index=False)
     assert detect("--json", "--latched", out="latched", data="gap.csv") == 1
     found, page = json.loads(capsys.readouterr().out), (place / "latched/report.html").read_text()

@@ -89,7 +89,7 @@ def test_faults_that_only_averages_show_are_those_of_programs():
     """An offset within the noise, or little beyond it: what one window over all samples proves, and its
     states, are those of HiGHS.
     """
-    N, T, x0 = 12, 14, ([-5.0, -5.0], [5.0, 5.0])
+    N, T, x0 = 24, 14, ([-5.0, -5.0], [5.0, 5.0])
     u, _, y = drawn(N, T, 2)
     y[:, 5:, 0] += np.linspace(0, 0.6, N)[:, None]
     y[:, 3, 0] = np.where(np.arange(N) % 5 == 4, np.nan, y[:, 3, 0])
@@ -97,7 +97,7 @@ def test_faults_that_only_averages_show_are_those_of_programs():
     wrong = np.asarray(found.status == jb.Status.FAULT)
     proved = refuted = alone = 0
     apart = []
-    for j in range(N):
+    for j in range(0, N, 2):
         exact = ends(STILL, u[j], y[j], x0, True)
         proved += wrong[j, -1]
         if exact is None:
@@ -128,7 +128,7 @@ def fault_free(seeds, N, T):
 
 
 def test_draws_that_keep_averages_are_never_a_fault():
-    assert fault_free([3], 24, 16) == 24 * 16
+    assert fault_free([3], 24, 14) == 24 * 14
 
 
 @pytest.mark.long(by_day="test_draws_that_keep_averages_are_never_a_fault")
