@@ -28,9 +28,8 @@ def pytest_configure(config):
     """
     # a twelfth of all time went into looking for garbage among what jax keeps
     gc.set_threshold(20_000, 20, 20)
-    if (
-        sys.platform == "linux"
-    ):  # pages of arrays that are given back are kept: asking for them takes time, too
+    # and a fourteenth into pages of arrays, given back and asked for again
+    if sys.platform == "linux":
         for option, size in ((M_MMAP_THRESHOLD, 2**25), (M_TRIM_THRESHOLD, 2**28)):
             ctypes.CDLL(None).mallopt(option, size)
     hypothesis.settings.register_profile(

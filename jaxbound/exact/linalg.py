@@ -337,8 +337,7 @@ def integers(row: Row) -> tuple[tuple[int, ...], int]:
     if isinstance(row, Whole):
         return row.numbers, row.over
     factor = lcm(*(x.denominator for x in row))
-    # half of what is asked here is zero, and factors may have thousands of digits
-    return tuple(x.numerator * (factor // x.denominator) if x else 0 for x in row), factor
+    return tuple(x.numerator * (factor // x.denominator) for x in row), factor
 
 
 def floats(row: Row) -> list[float]:
