@@ -178,6 +178,15 @@ def compiled(request):
 
 
 @pytest.fixture
+def by_numpy():
+    """Have NumPy evaluate the kernels of a single test in a file that is marked `compiled`."""
+    from jaxbound.sets.floats import kernel
+
+    with kernel.outside_xla():
+        yield
+
+
+@pytest.fixture
 def as_users_do():
     """Compile as for users who said nothing, whatever other tests ask for."""
     from jaxbound.sets.floats import kernel
