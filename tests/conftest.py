@@ -6,6 +6,7 @@ import gc
 import importlib
 import json
 import os
+import sys
 import zlib
 from pathlib import Path
 
@@ -27,6 +28,10 @@ def pytest_configure(config):
     """
     # a twelfth of all time went into looking for garbage among what jax keeps
     gc.set_threshold(20_000, 20, 20)
+    # and a fourteenth into pages of arrays, given back and asked for again
+    if sys.platform == "linux":
+        for option, size in ((M_MMAP_THRESHOLD, 2**25), (M_TRIM_THRESHOLD, 2**28)):
+            ctypes.CDLL(None).mallopt(option, size)
     hypothesis.settings.register_profile(
         "named",
         derandomize=os.environ.get("JAXBOUND_SEED") != "fresh",
@@ -40,6 +45,9 @@ def pytest_configure(config):
     # small ones too: eager code is made of them
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+"""Options of the allocator of glibc."""
 
 BY_NIGHT = Path(__file__).with_name("by_night.txt")
 """Names of tests that take seconds, beside a smaller case of the same; `.ci/night.py` writes it."""
@@ -128,6 +136,7 @@ def in_numpy(request):
     kernel.compile("always")  # what is not evaluated, whatever the module before said
     with kernel.outside_xla(request.node.get_closest_marker("compiled") is None):
         yield
+    kernel.compile()  # examples of docstrings say what users see
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -165,6 +174,15 @@ def compiled(request):
 
     alone = any(mark.name == "compiled" for mark in request.node.own_markers)
     with kernel.outside_xla(False) if alone else contextlib.nullcontext():
+        yield
+
+
+@pytest.fixture
+def by_numpy():
+    """Have NumPy evaluate the kernels of a single test in a file that is marked `compiled`."""
+    from jaxbound.sets.floats import kernel
+
+    with kernel.outside_xla():
         yield
 
 

@@ -80,8 +80,10 @@ class HolesTest(SignedTest):
         assert frame is not None
         width = k + image.most
         size = max(1, HELD // max(1, (c + width) * width))
-        parts = [np.arange(i, min(i + size, y.shape[2])) for i in range(0, y.shape[2], size)]
-        return np.concatenate([self.decided(image.of_windows(part), frame, y.dtype) for part in parts])
+        margins = []
+        for first in range(0, y.shape[2], size):
+            margins.append(self.decided(image.of_windows(slice(first, first + size)), frame, y.dtype))
+        return np.concatenate(margins)
 
     def image(self, u: np.ndarray, y: np.ndarray) -> HostImage:
         """Return the rows of windows."""

@@ -130,6 +130,8 @@ def _with_sums(model: LinearSystem, horizon: int, single: Matrix) -> tuple[Whole
     """Return the rows of single samples with those of bounded sums behind them."""
     rows = window_rows(model, horizon)
     whole = list(starmap(Whole, map(linalg.integers, single)))
+    if not rows.of_sums:
+        return tuple(whole)
     numbers, over = linalg.over_one(whole)
     for row in rows.of_sums:
         terms = rows.terms(row)

@@ -123,7 +123,8 @@ def test_python_refuses_in_one_sentence(case):
 
 
 @pytest.mark.parametrize("case", SAID)
-def test_what_little_a_fit_means_is_said(tmp_path, capsys, case):
+def test_what_little_a_fit_means_is_said(tmp_path, capsys, monkeypatch, case):
+    monkeypatch.setattr("jaxbound.diagnosis.memory.LONGEST", 64)  # advice about long windows takes seconds
     frames, sentence = SAID[case]
     inputs = [name for name in ("u", "v") if name in frames[0]]
     model = jb.fit(frames, inputs=inputs, outputs="y", horizon=4, method="least squares")

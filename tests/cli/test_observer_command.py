@@ -21,18 +21,18 @@ from jaxbound.recordings.read import open_source
 from jaxbound.runs import parts, streaming
 from jaxbound.runs.ask import Ask
 
-T, ONSET = 160, 90
+T, ONSET = 110, 60
 
 
 @pytest.fixture(scope="module")
 def signals():
-    """Return u, y of a slow plant whose first sensor drifts from sample 90 on; some samples are missing,
+    """Return u, y of a slow plant whose first sensor drifts from sample 60 on; some samples are missing,
     there is a gap behind 40.
     """
     rng, x, u = (
         np.random.default_rng(3),
         np.zeros(2),
-        np.repeat(np.random.default_rng(4).uniform(0, 2, 16), 10).round(3),
+        np.repeat(np.random.default_rng(4).uniform(0, 2, T // 10), 10).round(3),
     )
     y = np.zeros((T, 2))
     for k in range(T):
@@ -124,7 +124,7 @@ def test_a_healthy_recording_is_no_fault_though_nothing_is_proved_consistent(pla
     pd.read_csv("run.csv").iloc[:ONSET].to_csv("healthy.csv", index=False)
     assert detect("-q", out="out", data="healthy.csv") == 0
     assert capsys.readouterr().out.startswith(
-        "No fault found: none of 88 samples is proved to contradict the model and the samples before"
+        "No fault found: none of 58 samples is proved to contradict the model and the samples before"
     )
 
 
@@ -147,10 +147,10 @@ def test_a_pipe_says_what_the_file_says_and_goes_on_behind_a_kill(place, capsysb
     detect("-q", out="out")
     lines = (place / "run.csv").read_bytes().splitlines(keepends=True)
     follow = partial(piped.judge_stream, piped.LiveRun("plant.toml", Ask("observer"), out=place / "pipe"))
-    assert follow([b"".join(lines[:70]), None]) == 0
+    assert follow([b"".join(lines[:55]), None]) == 0
     with contextlib.closing(sqlite3.connect(place / "pipe/monitor.sqlite")) as database:
         ((memory,),) = database.execute("SELECT memory FROM checkpoint")
-    assert follow([b"".join(lines[70:100]), *lines[100:]]) == 1
+    assert follow([b"".join(lines[55:70]), *lines[70:]]) == 1
     assert told(place / "pipe") == told(place / "out"), "the carry is in the state"
     assert len(json.loads(memory)["judge"]) > 5
     assert b"contradict the model and the samples before them" in capsysbinary.readouterr().err
@@ -158,17 +158,11 @@ def test_a_pipe_says_what_the_file_says_and_goes_on_behind_a_kill(place, capsysb
 
 @pytest.mark.parametrize(
     "method",
-    [
-        (
-            "--test",
-            "latched=true",
-        ),
-        (),
-    ],
+    [("--test", "latched=true"), ()],
 )
 def test_parts_carry_on_and_are_made_again_where_they_are_lost(place, capsys, monkeypatch, method):
     detect("-q", *method, out="out")
-    monkeypatch.setattr(streaming, "PART", 50)
+    monkeypatch.setattr(streaming, "PART", 30)
     monkeypatch.setattr(streaming, "LEAST", 1)
     assert detect("-q", *method, "--chunk", "33", out="parts", data="run.parquet") == 1
     assert told(place / "parts") == told(place / "out")
@@ -239,8 +233,8 @@ def test_windows_that_remember_say_the_same_in_memory_in_parts_through_a_pipe_an
     lines = (place / "run.csv").read_bytes().splitlines(keepends=True)
     ask = Ask.of_fields({"observer": "joint", "window": 8})
     follow = partial(piped.judge_stream, piped.LiveRun("plant.toml", ask, out=place / "pipe"))
-    assert follow([b"".join(lines[:70]), None]) == 0
-    assert follow([b"".join(lines[70:100]), *lines[100:]]) == 1
+    assert follow([b"".join(lines[:55]), None]) == 0
+    assert follow([b"".join(lines[55:70]), *lines[70:]]) == 1
     assert told(place / "pipe") == told(place / "parts") == told(place / "out")
     (place / "units.csv").write_text(
         "unit,model,recording\n" + "".join(f"{unit},plant.toml,run.csv\n" for unit in "abc")
@@ -347,7 +341,7 @@ def test_a_fleet_is_followed_side_by_side_and_says_what_each_unit_says_alone(pla
     table.assign(T1=table["T1"] - 0.02 * np.maximum(np.arange(T) - ONSET, 0)).to_csv(
         "healthy.csv", index=False
     )
-    table.iloc[:100].to_csv("short.csv", index=False)
+    table.iloc[:60].to_csv("short.csv", index=False)
     (place / "text.csv").write_text("time,heat,T1,T2\n0,a,b,c\n")
     names = {
         "drifts": "run.csv",
@@ -380,7 +374,7 @@ def test_a_fleet_is_followed_side_by_side_and_says_what_each_unit_says_alone(pla
         found["healthy"]["verdict"] == "no fault"
         and found["text"]["verdict"] == found["gone"]["verdict"] == "not tested"
     )
-    assert found["short"]["samples"] == 100 and (place / "fleet/units").is_dir()
+    assert found["short"]["samples"] == 60 and (place / "fleet/units").is_dir()
     assert (
         main.main(["fleet", "units.csv", "--out", "fleet", "--method", "observer", "--test", "lags=0,1"]) == 2
     )
@@ -388,7 +382,7 @@ def test_a_fleet_is_followed_side_by_side_and_says_what_each_unit_says_alone(pla
 
 def test_an_alarm_that_stays_ends_at_a_gap(place, capsys):
     table = pd.read_csv("run.csv")
-    table.loc[table.index >= 130, "time"] += 7.0
+    table.loc[table.index >= 90, "time"] += 7.0
     table.to_csv("gap.csv", index=False)
     assert detect("--json", "--test", "latched=true", out="latched", data="gap.csv") == 1
     found, page = json.loads(capsys.readouterr().out), (place / "latched/report.html").read_text()

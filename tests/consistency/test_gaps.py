@@ -9,8 +9,6 @@ import jaxbound as jb
 from jaxbound.consistency.drive import windows
 from jaxbound.recordings.seams import all_starts, crossing
 
-pytestmark = pytest.mark.compiled
-
 
 def simulated(rng, u):
     """Return healthy outputs of the paper's system, its errors just inside their bounds."""

@@ -110,10 +110,8 @@ def test_a_device_cannot_hide_that_data_are_missing_nor_make_them_missing(rng):
     assert whole.any() and not (status[whole] == Status.MISSING).any()
 
 
-SLOWLY_COMPILED = [pytest.param(name, marks=pytest.mark.long) for name in OBSERVERS[1:]]
-
-
-@pytest.mark.parametrize("name", [OBSERVERS[0], *SLOWLY_COMPILED])
+@pytest.mark.long(by_day="cli/test_any_device::test_what_carries_a_set_is_followed_on_the_cpu")
+@pytest.mark.parametrize("name", OBSERVERS)
 def test_an_observer_follows_on_the_cpu(name, rng):
     relations, u, y = recordings(name, rng, 2, 18)
     here = judged(name, relations, u, y)
@@ -209,6 +207,7 @@ def miscopied(numbers):
     return jax.tree.map(other, numbers)
 
 
+@pytest.mark.long(by_day="test_a_lying_device_makes_no_verdict")
 def test_what_a_device_copied_wrongly_proves_nothing(rng):
     """Numbers of relations are placed once and lie on the device; windows are read there."""
     relations = RELATIONS["uncertain"]()

@@ -132,7 +132,7 @@ def test_samples_at_their_bounds_are_compiled_after_all():
 
 
 def test_a_compiler_that_broke_its_word_is_asked_nothing(monkeypatch, rng):
-    u, y = recordings(rng)
+    u, y = recordings(rng, 16)
     observers = jb.observer(PLANT), jb.estimation.ValidationObserver(PLANT)
     monkeypatch.setattr("jaxbound.sets.floats.probe._found", lambda *about: "broken")
     piece = Recording.of(PLANT, u[0], y[0])

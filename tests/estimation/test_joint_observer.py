@@ -33,6 +33,7 @@ def test_without_anything_forgotten_it_encloses_the_exact_hull(shared):
     np.testing.assert_allclose([lo, hi], exact, atol=1e-8)
 
 
+@pytest.mark.usefixtures("searched_in_numpy")
 def test_it_proves_what_programs_over_all_samples_refute_and_nothing_else():
     proved, possible, wider = jumps_near_the_boundary(**JOINT)
     assert possible >= 10 and proved >= 0.9 * possible
@@ -91,6 +92,7 @@ def near_the_boundary(rng, N, T, seed):
     return proved, refuted, N
 
 
+@pytest.mark.usefixtures("searched_in_numpy")
 def test_what_is_proved_near_the_boundary_is_refuted_by_programs(rng):
     proved, refuted, tried = near_the_boundary(rng, 24, 8, 21)
     print(f"{proved} of {refuted} contradictions proved, of {tried} recordings")
@@ -131,6 +133,7 @@ def test_a_first_set_of_many_generators_makes_no_behaviour_consistent_that_begin
     assert not (status == jb.Status.CONSISTENT).any()
 
 
+@pytest.mark.usefixtures("searched_in_numpy")
 def test_consistent_is_a_trajectory_through_all_samples(rng):
     """Where it is said a program over all samples has a solution; healthy recordings mostly have it, also
     beyond the first window.

@@ -60,6 +60,7 @@ def wrong(found, x):
 
 @pytest.mark.parametrize("block, how", METHODS)
 @pytest.mark.parametrize("restart", [True, False])
+@pytest.mark.usefixtures("searched_in_numpy")
 def test_at_every_sample_of_a_block_a_gap_ends_what_was_known(block, how, restart):
     found = {}
     for gap in range(block, 2 * block + 1):
@@ -71,6 +72,7 @@ def test_at_every_sample_of_a_block_a_gap_ends_what_was_known(block, how, restar
 
 @pytest.mark.parametrize("block, how", [METHODS[0], *METHODS[3:]])
 @pytest.mark.parametrize("size", [1, 3])
+@pytest.mark.usefixtures("searched_in_numpy")
 def test_in_pieces_of_any_size_too(block, how, size):
     watch, block = jb.observer(PLANT, **how).telling(enclosures=True), min(block, 4)
     found = {}
@@ -86,6 +88,7 @@ def test_in_pieces_of_any_size_too(block, how, size):
     assert found == dict.fromkeys(found, 0)
 
 
+@pytest.mark.usefixtures("searched_in_numpy")
 def test_behind_a_gap_where_blocks_begin_verdicts_are_those_of_a_recording_of_its_own():
     """Those of a slow fault too, and for as long as it lasts."""
     T = 32
@@ -196,7 +199,7 @@ def test_a_monitor_that_is_told_of_a_gap_at_any_sample():
 
 def test_validation_begins_anew_at_any_sample():
     observer, found = ValidationObserver(PLANT), {}
-    for gap in (2, 3, 7, 14):
+    for gap in (3, 14):
         u, y, x = laid_end_to_end(gap, 17)
         found[gap] = wrong(jb.validate(PLANT, u, y, starts=[gap]), x)
         carry = observer.init()
@@ -227,6 +230,7 @@ def many_laid_end_to_end(rng, seeds, N, block, **how):
     return samples
 
 
+@pytest.mark.usefixtures("searched_in_numpy")
 def test_random_plants_laid_end_to_end(rng):
     assert many_laid_end_to_end(rng, [8], 24, 4, method="joint", window=8, order=6) > 24 * 12
 

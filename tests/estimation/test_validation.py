@@ -17,7 +17,7 @@ Status = jb.Status
 def test_the_paper_s_system(rng, method):
     """Fault-free, faults found and located, a missing sensor, a long loss."""
     m = paper()
-    u, x, y = record(rng, m, 4)
+    u, x, y = record(rng, m, 2)
     unit = reference_width(m, u, y) / 0.573
     healthy = jb.validate(m, u, y, method=method)
     assert inside(healthy, x).all() and not healthy.faulty.any()

@@ -16,7 +16,7 @@ from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
-from jaxbound.sets.floats.kernel import outside_xla
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.regression import Scales, courses
@@ -94,7 +94,7 @@ class WindowJudge(Judge):
         if model.m:
             u = np.broadcast_to(np.array(model.offset["u"], float), (2, p, count, model.m))
         relations = self._relations(model)
-        with outside_xla(relations.searched):
+        with outside_xla(relations.searched or is_outside_xla()):
             margin = detect(relations, u, y, margins="exact").margin[..., -1]
         with np.errstate(divide="ignore"):  # a need grows with the size; healthy noise takes 1 of it
             sizes = np.where(1 - margin > 1e-9, 2 * scales.y_spread / (1 - margin), np.inf)
@@ -158,7 +158,7 @@ def explains(relations: Windows, parts: Records) -> bool:
 def _tested(relations: Windows, parts: Records) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return (status, need) of each recording, (T,) each."""
     verdicts = []
-    few = relations.searched and sum(len(y) for _, y, _ in parts) < FEW
+    few = is_outside_xla() or relations.searched and sum(len(y) for _, y, _ in parts) < FEW
     for u, y, starts in parts:
         if len(y) <= relations.horizon:
             verdicts.append((np.zeros(len(y), np.int8), np.full(len(y), np.nan)))

@@ -120,11 +120,12 @@ def test_values_inside_an_interval_are_enclosed(rng, op, dtype):
 
 
 @each_op
-def test_bounds_are_attained_at_the_ends_or_at_an_extremum(rng, op):
+@each_dtype
+def test_bounds_are_attained_at_the_ends_or_at_an_extremum(rng, op, dtype):
     """An enclosure is not wider than the values at the ends, except where sin, cos, cosh or tan turn
     inside.
     """
-    lo, hi = boxes(rng, op, np.float64, COUNT)
+    lo, hi = boxes(rng, op, dtype, COUNT)
     low, high = DOMAIN.get(op, (-np.inf, np.inf))
     f = getattr(sets, op)
     z = f(Interval(jnp.asarray(lo), jnp.asarray(hi)))

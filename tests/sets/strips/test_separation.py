@@ -139,7 +139,7 @@ def run(case, dtype, steps=60, change=None):
 @pytest.mark.compiled
 @pytest.mark.parametrize("dtype", [DTYPES[0], pytest.param(DTYPES[1], marks=pytest.mark.long)])
 def test_windows_exactly_on_the_boundary_are_never_fault(dtype, rng):
-    for _ in range(10):
+    for _ in range(4):
         case = Case(rng, dtype=dtype)
         assert all(
             case.explained(w, [case.true[w][i] - case.mid[w][i] for i in case.frame.inner]) for w in range(N)

@@ -266,6 +266,7 @@ def test_published_pairs_meet_or_not_under_vmap(cases):
     ]
 
 
+@pytest.mark.long(by_day="test_a_segment_in_a_segment_is_decided_inside_jit")
 def test_an_observer_may_ask_in_a_scan():
     Z = zonotope([0.0], [[1.0]])
 

@@ -21,8 +21,6 @@ from jaxbound.studies.identification.recipe import recipe_of, recipe_text
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trial import Trial
 
-pytestmark = pytest.mark.compiled
-
 A, B, C = [[0.8, 0.15], [-0.1, 0.6]], [[0.5], [0.3]], [[1, 0]]
 
 
@@ -383,6 +381,7 @@ class TestLeftOut:
 class TestObserver:
     OF = dict(order=1, method="least squares")
 
+    @pytest.mark.compiled
     @pytest.mark.parametrize("observer", ["zonotope", pytest.param("joint", marks=pytest.mark.long)])
     def test_bounds_are_those_at_which_it_follows_every_recording(self, observer, rng):
         records = [run(rng, 60), run(rng, 50, noise=0.08)]
@@ -408,6 +407,7 @@ class TestObserver:
         late = y + 1.05 * size * (np.arange(len(y)) >= 30)[:, None]
         assert jb.detect(jb.observer(model, method=observer), u, late).counts["FAULT"]
 
+    @pytest.mark.compiled
     def test_windows_of_a_model_that_was_fitted_for_one_prove_no_fault(self, rng):
         u, y = run(rng, 60)
         model = jb.fit([(u, y), run(rng, 60)], **self.OF, observer="zonotope")

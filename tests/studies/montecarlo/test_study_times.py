@@ -13,7 +13,7 @@ ABOUT = dict(samples=24, input_range=(0, 1), hold=4)
 
 
 def test_no_healthy_scenario_is_a_fault_and_constant_noise_would_be(rng):
-    about = ABOUT | {"at": "vertices", "key": int(rng.integers(2**31)), "n": 60}
+    about = ABOUT | {"at": "vertices", "key": int(rng.integers(2**31)), "n": 20}
     for watch in (jb.parity_relations(PLANT, 2), jb.observer(PLANT)):
         assert jb.study(PLANT, (), relations=watch, **about).false_alarms[0] == 0
     constant = jb.parity_relations(PLANT.replace(times=None), 2)

@@ -66,6 +66,7 @@ def test_a_test_that_watches_nothing_keeps_its_factor(rng):
     assert any("'third' watches no healthy sample" in note for note in found.notes)
 
 
+@pytest.mark.usefixtures("by_numpy")
 def test_an_observer_gets_the_factor_at_which_it_follows_the_recording(rng):
     frame = day(rng, 0.3)
     found = jb.tune(jb.monitor(LEVEL, [SLOW]), frame, safety=1)

@@ -92,6 +92,7 @@ DRIFTING = dict(NOISY, disturbance=([[1], [0]], [0.02]))
 
 
 @pytest.mark.parametrize("method", ["zonotope", pytest.param("joint", marks=pytest.mark.long)])
+@pytest.mark.usefixtures("by_numpy")
 def test_an_observer_gets_the_factor_at_which_it_follows_each_recording(method, rng):
     plant = Plant(**DRIFTING)
     recordings = [tuning_case.recording(plant, 40, rng, share=share) for share in (1.0, 1.5)]
