@@ -51,8 +51,10 @@ not matter.
 """
 BESIDE = 128
 """Recordings, or stretches of them, side by side where many are evaluated in NumPy."""
-LENGTHS = (4, 16, 64, 256, 1024)
+LENGTHS = (4, 16, 64, 256, 1024, 4096)
 """Samples before a FAULT that are followed once more."""
+AGAIN = 2**17
+"""Samples, of stretches side by side, that are held for it."""
 PIECE = 16
 """Samples that the kernel is compiled for."""
 
@@ -224,11 +226,11 @@ class SetObserver(Observer[State], Generic[State]):
         """Return (T, N) bool: which of the FAULTs (T, N) are not proved outside XLA, see `consistency.twice`.
 
         The last samples before a FAULT are followed once more, the kernels evaluated in NumPy: 4 of them,
-        then 16, 64, 256, 1024, as far back as it began, knowing nothing of the state before. A contradiction
-        among them stands. What is left is followed from where the observer began: behind a gap, or behind a
-        FAULT, again knowing nothing, so that no set of before a gap is believed twice; of more than 1024
-        samples XLA follows the first. Only a FAULT that rests on samples of a piece before, which nobody
-        keeps, begins with the set that was carried to there.
+        then 16, and so on up to 4096, as far back as it began, knowing nothing of the state before. A
+        contradiction among them stands. What is left is followed from where the observer began: behind a gap,
+        or behind a FAULT, again knowing nothing, so that no set of before a gap is believed twice. Only a
+        FAULT that rests on samples of a piece before, which nobody keeps, begins with the set that was
+        carried to there.
         """
         numbers, behind = np.arange(len(fault))[:, None], self._behind_faults(carry, fault) & ~samples.fresh
         anew, first = samples.fresh | behind, fault
@@ -239,7 +241,7 @@ class SetObserver(Observer[State], Generic[State]):
         ends = np.argwhere(first)
         rounds = [(len(fault), 1)]
         if self.plant.start is not None:  # samples show the state
-            rounds = [*((length, BESIDE) for length in LENGTHS), *rounds]
+            rounds = [*((length, min(BESIDE, AGAIN // length)) for length in LENGTHS), *rounds]
         for length, beside in rounds:
             begin, gone = np.maximum(begins[tuple(ends.T)], ends[:, 0] - length + 1), np.ones(len(ends), bool)
             for part in range(0, len(ends), beside):
@@ -271,13 +273,10 @@ class SetObserver(Observer[State], Generic[State]):
         if len(begin) == 1:  # windows begin where they began
             own = own._replace(samples=carry.samples + begin[0])
         state: State = own
-        near = max(0, len(rows) - LENGTHS[-1])
-        if near:
-            state, _ = self.found(state, some.cut(0, near))
         with outside_xla():
-            _, found = self.found(state, some.cut(near, len(rows)))
+            _, found = self.found(state, some)
         shown = np.asarray(found.status) == Status.FAULT
-        return np.asarray((shown & (begin + np.arange(near, len(rows))[:, None] <= last)).any(0))
+        return np.asarray((shown & (begin + np.arange(len(rows))[:, None] <= last)).any(0))
 
     def _count(self, carry: State) -> int:
         """Return how many recordings a carry follows."""

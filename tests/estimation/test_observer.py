@@ -11,11 +11,11 @@ from observer_case import PLANT, first_decided_in_numpy, inside, program, publis
 
 import jaxbound as jb
 from jaxbound.consistency.twice import Doubtful
-from jaxbound.estimation import zonotope_steps
+from jaxbound.estimation import set_observer, zonotope_steps
 from jaxbound.estimation.methods import OBSERVERS
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.recordings.recording import Recording
-from jaxbound.sets.floats.kernel import outside_xla
+from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 
 METHODS = tuple(OBSERVERS)
 """How an observer may carry its set."""
@@ -295,3 +295,24 @@ def test_a_gap_ends_the_proof_of_a_fault_that_stays(monkeypatch):
     with outside_xla(False), pytest.warns(Doubtful):
         status = jb.detect(jb.observer(m, restart=False), None, y, starts=[6]).status
     assert status[5] == jb.Status.FAULT and (status[6:] == jb.Status.UNDECIDED).all()
+
+
+def test_no_sample_of_a_proof_is_followed_by_xla(monkeypatch):
+    """However far back a FAULT reaches: a set that XLA carried wrongly proves nothing."""
+    real = SetObserver.found
+
+    def found(self, carry, samples):
+        state, verdicts = real(self, carry, samples)
+        if is_outside_xla():
+            return state, verdicts
+        status = np.array(verdicts.status)
+        status[10:] = jb.Status.FAULT
+        wrong = state.carry._replace(c=state.carry.c + 100)
+        return state._replace(carry=wrong), verdicts._replace(status=status)
+
+    monkeypatch.setattr(SetObserver, "found", found)
+    monkeypatch.setattr(set_observer, "LENGTHS", (2,))
+    m = jb.LinearSystem([[0.5]], None, [[1]], dt=1, noise=0.1)
+    with outside_xla(False), pytest.warns(Doubtful):
+        status = jb.detect(jb.observer(m), None, np.zeros((11, 1))).status
+    assert status[10] == jb.Status.UNDECIDED
