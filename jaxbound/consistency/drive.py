@@ -454,7 +454,7 @@ class _Gathering:
         groups = [starts[i : i + together] for i in range(0, len(starts), together)]
         workers = self._workers(devices)
         if workers == 1 or len(groups) < 2 or is_outside_xla():
-            judged = _ahead(self._judge(group, devices) for group in groups)
+            judged = _ahead(map(partial(self._judge, devices=devices), groups))
         else:
             judged = self._on_threads(groups, devices, workers)
         left, finished = [NOWHERE], 0
