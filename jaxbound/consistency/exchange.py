@@ -138,6 +138,7 @@ class ExchangeTest(SignedTest):
         if not len(starts):
             return
         lacking = self._lacking(u, y, starts)
+        # where bounds are as thin as rounding no search in floats decides, however long
         some = starts[lacking | thin(self.reading, *self._gather(u, y, starts))]
         margin[some + self.horizon] = self.exactly(u, y, some)
         if is_outside_xla():  # all windows were searched in NumPy

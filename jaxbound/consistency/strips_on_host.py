@@ -79,6 +79,7 @@ class HostStrips:
         every = [rows.row(i) for i in range(len(self.reading.window))]
         inputs = [rows.input(b) for b in range(rows.inputs)]
         for strip in self.strips:
+            # what windows do not look at bounds nothing, and an infinite error excludes nothing
             if not all(self.reading.window.all[i].seen for i in strip.rows):
                 yield 0.0, 0.0, np.inf
                 continue

@@ -209,6 +209,7 @@ def alike(*xs: Operand) -> list[Interval]:
             x = interval(rounding.round_down(x, own), rounding.round_up(x, own))
         out.append(interval(x))
     dtype = jnp.result_type(*(x.dtype for x in out))
+    # who has that type stays as it is, and with it the mark that its bounds were looked at
     wider = lambda x: jax.tree.map(lambda end: rounding.widened(end, dtype), x)
     return [x if x.dtype == dtype else wider(x) for x in out]
 
