@@ -39,6 +39,7 @@ from jaxbound.sets.floats.kernel import (
     UNCOUNTED,
     is_outside_xla,
     is_sparing,
+    judged_by,
     outside_xla,
     tried_in_numpy,
 )
@@ -143,10 +144,15 @@ def windows(
     if is_outside_xla():
         return decided()
     if test.by_kernels:
-        tried = tried_in_numpy(decided, window_count(shape, test.horizon) * test.weight, test.kind)
-        believed = test.confirms and is_sparing() != UNCOUNTED  # a window of a stream is looked at again
-        if tried is not None and (believed or not _left_by_rounding(tried)):
+        believed = None
+        if is_sparing() == UNCOUNTED or not test.confirms:  # a window of a stream is looked at again
+            believed = _decided_all
+        work = window_count(shape, test.horizon) * test.weight
+        tried = tried_in_numpy(decided, work, test.kind, believed)
+        if tried is not None:
             return tried
+    else:
+        judged_by().add("NumPy")
     if not searching_device():
         if not test.on_host:
             refuse_unverified()
@@ -164,9 +170,9 @@ def windows(
         return only_searched(test, judged, flat_u, flat_y, ends.reshape(-1), missing)
 
 
-def _left_by_rounding(judged: Judged) -> bool:
-    """Return whether a window is open within rounding, which another way to compute may decide."""
-    return bool(((judged.status == Status.UNDECIDED) & (judged.margin == 0)).any())
+def _decided_all(judged: Judged) -> bool:
+    """Return whether no window is open within rounding, which another way to compute may decide."""
+    return not ((judged.status == Status.UNDECIDED) & (judged.margin == 0)).any()
 
 
 def _decided(

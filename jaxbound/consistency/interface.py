@@ -771,8 +771,13 @@ class Observer(Relations, Generic[Carry]):
         """
         *lead, samples, p = np.shape(piece.y)
         work = -(-math.prod(lead) // TOGETHER) * samples * self.weight
-        tried = tried_in_numpy(fold, work, (type(self), self.weight, p))
-        if tried is not None and not (np.abs(m := tried[1].margin) < np.finfo(m.dtype).eps ** CLOSE).any():
+
+        def clear(said: tuple[Carry, Said]) -> bool:
+            margin = said[1].margin
+            return not (np.abs(margin) < np.finfo(margin.dtype).eps ** CLOSE).any()
+
+        tried = tried_in_numpy(fold, work, (type(self), self.weight, p), clear)
+        if tried is not None:
             return tried
         with where_proofs_hold():
             return fold()

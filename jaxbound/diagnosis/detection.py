@@ -24,7 +24,7 @@ from jaxbound.diagnosis import isolation, monitored, observed  # noqa: F401 (the
 from jaxbound.diagnosis.monitoring import Watchable, monitor
 from jaxbound.diagnosis.result import Result, found_by
 from jaxbound.recordings.table import Data
-from jaxbound.sets.floats.kernel import sparing
+from jaxbound.sets.floats.kernel import noted, sparing
 from jaxbound.sets.floats.probe import refuse_unusable
 from jaxbound.sets.floats.status import Status
 from jaxbound.text.progress import reporter
@@ -95,11 +95,12 @@ def detect(
     recording = replace(recording, u=np.asarray(recording.u), y=np.asarray(recording.y))
     test = named.test(method, recording.y.dtype, budget)
     test = with_margins(test, margins, window_count(recording.y.shape[:-1], test.horizon))
-    with sparing():
+    with sparing(), noted() as ways:
         judged = drive(test, recording, report)
     if (judged.status == Status.UNDECIDED).any():  # an infinite sample cannot come out as anything else
         recording.finite()
-    return found_by(test, recording, judged, outside, relations)
+    result = found_by(test, recording, judged, outside, relations)
+    return replace(result, evaluated=" and ".join(sorted(ways)))
 
 
 def margins(relations: Relations, u: Data, y: Data = None, starts: Starts = ()) -> jax.Array:

@@ -66,6 +66,7 @@ class Result:
             at least; `exact`, `reported`, `measured` and `worst` have exact ones. With constant tolerances
             these are of gains that were tried: bounds too.
         device: the device that judged, in words that say whether it was examined; "": a CPU.
+        evaluated: who judged, "NumPy", "XLA" or both, see `jaxbound.compile`; "": it was not asked.
         outside_is: "fault", or "undecided": the word for FAULT outside the region of training, as given to
             `detect`.
         known: how many of the first samples were judged in a recording before, and are MISSING here.
@@ -84,6 +85,7 @@ class Result:
     aside: int = field(default=0, kw_only=True)
     recorded: tuple[str, ...] | None = field(default=None, kw_only=True, repr=False)
     device: str = field(default="", kw_only=True, repr=False)
+    evaluated: str = field(default="", kw_only=True, repr=False)
     margins: str = field(default=EXACT, kw_only=True, repr=False)
     outside_is: str = field(default=CLAIMED, kw_only=True, repr=False)
     known: int = field(default=0, kw_only=True, repr=False)

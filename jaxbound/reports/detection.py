@@ -103,7 +103,7 @@ def write_report(
         shown={status.name: shown_name(status, relations.observes) for status in Status},
         observes=relations.observes,
         **values,
-        computed=computed(res.method, looked_at(relations), dtype, seconds or {}),
+        computed=computed(res.method, looked_at(relations), dtype, seconds or {}, res.evaluated),
     )
     file.write_text(page, encoding="utf-8")
 

@@ -100,10 +100,10 @@ def _short(x: Fraction) -> str:
 
 
 def computed(
-    method: str, rests_on: str, dtype: np.dtype, seconds: Mapping[str, float]
+    method: str, rests_on: str, dtype: np.dtype, seconds: Mapping[str, float], evaluated: str = ""
 ) -> list[tuple[str, str]]:
     """Return the rows on method, versions, device and time. rests_on: the samples that a verdict looks at, in
-    words. seconds: {stage: seconds}.
+    words. seconds: {stage: seconds}. evaluated: of a Result.
     """
     import jax
 
@@ -115,7 +115,7 @@ def computed(
     return [
         ("method", f"{method}, {rests_on}"),
         ("versions", f"{', '.join(versions)}, Python {platform.python_version()}"),
-        ("device and numbers", f"{kind}, {dtype.name}"),
+        ("device and numbers", f"{kind}, {dtype.name}{evaluated and f', evaluated by {evaluated}'}"),
         ("seconds", ", ".join(f"{k} {v:.2f}" for k, v in seconds.items()) or "not measured"),
         ("written", time.strftime("%Y-%m-%d %H:%M:%S %z")),
     ]

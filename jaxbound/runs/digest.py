@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 
@@ -89,6 +89,7 @@ class Digest:
     signals: tuple[np.ndarray, np.ndarray] | None = None
     by_test: CountsByTest | None = None
     unwatched: Unwatched | None = None
+    evaluated: ClassVar[str] = "XLA"
 
     @property
     def samples(self) -> int:

@@ -1,6 +1,8 @@
 """The judges of the loop: by windows, an observer, a Monitor, a test in memory, or a look at verdicts."""
 
 import itertools
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import ClassVar, Generic, TypeVar
@@ -19,8 +21,11 @@ from jaxbound.recordings.factors import known
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Laps, Memory
 from jaxbound.runs.sink import Verdicts
-from jaxbound.sets.floats.kernel import sparing
+from jaxbound.sets.floats.kernel import compiles_later, sparing
+from jaxbound.sets.floats.threads import inherited
 
+AHEAD = 5.0
+"""Seconds behind which samples that still come are those of a live stream."""
 Numbered = tuple[int, Recording]
 """A piece of a recording: the number of its first sample, and its samples."""
 Piece = TypeVar("Piece")
@@ -142,10 +147,13 @@ class Live:
         if self.region is not None:
             back = max(back, self.region.horizon)
         self.last = np.full((back, len(known(monitor.relations.model))), np.nan)
+        self._begun: float | None = None
+        self._ahead: threading.Thread | None = None
 
     def __call__(self, piece: Numbered) -> Iterator[tuple[Recording, Verdicts]]:
         """Judge the samples of a piece."""
         _, recording = piece
+        self._compile_ahead()
         if recording.samples:
             self.state, verdicts = self.monitor.run(
                 self.state, recording.u, recording.y, starts=recording.starts
@@ -156,6 +164,13 @@ class Live:
                 verdicts = placed(judged, self.region, u, self.outside)
                 self.last = u[-len(self.last) :]
             yield recording, verdicts
+
+    def _compile_ahead(self) -> None:
+        """Compile beside a live stream what judges its later samples, while NumPy judges the first ones."""
+        self._begun = self._begun or time.monotonic()
+        if self._ahead is None and time.monotonic() > self._begun + AHEAD and compiles_later():
+            self._ahead = threading.Thread(target=inherited(sparing(False)(self.compile)))
+            self._ahead.start()
 
     def compile(self) -> None:
         """Judge samples of zeros and forget them, so that no sample waits for a compiler."""

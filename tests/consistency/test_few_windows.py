@@ -38,6 +38,8 @@ def test_both_ways_say_the_same(name, dtype):
         jb.compile("always")
         many = jb.detect(relations, u, y.astype(dtype), margins="exact")
         np.testing.assert_array_equal(few.status, many.status)
+        assert many.evaluated == ("NumPy" if name == "constant tolerance" else "XLA")
+        assert few.evaluated == "NumPy" or (few.evaluated, at) == ("XLA", "vertices")
         assert (few.status == jb.Status.FAULT).any() or "uncertain" in name
         close = dict(rtol=1e-9, atol=1e-9) if dtype == np.float64 else dict(rtol=1e-2, atol=1e-2)
         np.testing.assert_allclose(few.margin, many.margin, **close)

@@ -1,6 +1,7 @@
 """A monitor says of every sample what `detect` says of the whole recording, bit by bit."""
 
 import io
+import threading
 
 import jax
 import numpy as np
@@ -12,6 +13,7 @@ import jaxbound as jb
 from jaxbound.consistency import exchange, strips
 from jaxbound.consistency.monitor import Monitor, Verdict
 from jaxbound.consistency.strips import StripsTest
+from jaxbound.runs import judges
 from jaxbound.sets.floats import kernel
 
 
@@ -210,7 +212,7 @@ def test_numpy_judges_the_first_searched_windows_whatever_the_pieces(rng, monkey
     assert {jb.Status.CONSISTENT, jb.Status.FAULT} < set(together[0].tolist())
     blocks.clear()
     with monkeypatch.context() as patch:
-        patch.setattr("jaxbound.consistency.drive._left_by_rounding", lambda judged: True)
+        patch.setattr("jaxbound.consistency.drive._decided_all", lambda judged: False)
         again = mon.run(mon.init(), u[:24], y[:24])[1]
     assert len(blocks) == 4, "what rounding leaves open is searched by XLA"
     np.testing.assert_array_equal(again.status, together[0][:24])
@@ -219,6 +221,33 @@ def test_numpy_judges_the_first_searched_windows_whatever_the_pieces(rng, monkey
     assert early == [40, 40, 40, 40, 0] and kernel.first_in_numpy(38, 50, 1, "another") == 2
     with kernel.sparing():  # `detect` by a monitor has all samples at once
         assert kernel.first_in_numpy(0, 50, 1, "a third") == 0
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("mode, threads", [(kernel.NEVER, 0), (kernel.AUTO, 1)])
+def test_a_live_stream_waits_for_no_compiler(rng, monkeypatch, mode, threads):
+    """Beside the samples that NumPy judges, another thread compiles, once: the same verdicts."""
+    called = []
+
+    def seen(*args, search=exchange.candidates, **kwargs):
+        called.append(threading.current_thread())
+        return search(*args, **kwargs)
+
+    monkeypatch.setattr(kernel, "_mode", mode)
+    monkeypatch.setattr(exchange, "candidates", seen)
+    r = jb.parity_relations(paper(), 20)
+    u, y = recording(rng, r.model, 30, spread=0.9)
+    y[25:] += 1
+    together = Monitor(r).run(Monitor(r).init(), u, y)[1]
+    monkeypatch.setattr(judges, "AHEAD", -1.0)
+    live, found = judges.Live(Monitor(r)), []
+    for k in range(30):
+        found += [verdicts for _, verdicts in live((k, jb.Recording(u[k : k + 1], y[k : k + 1])))]
+    if live._ahead is not None:
+        live._ahead.join()
+    assert [thread is live._ahead for thread in called] == [True] * threads
+    assert_equal(Verdict(*(np.concatenate([v[i] for v in found]) for i in (0, 1))), together)
+    assert {jb.Status.CONSISTENT, jb.Status.FAULT} < set(together.status.tolist())
 
 
 @pytest.mark.compiled

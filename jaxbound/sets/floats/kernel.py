@@ -129,14 +129,45 @@ def first_in_numpy(samples: int, count: int, weight: float, kind: Hashable) -> i
     return early
 
 
-def tried_in_numpy(job: Callable[[], T], work: float, kind: Hashable) -> T | None:
+def compiles_later() -> bool:
+    """Say whether what NumPy judges first on this thread is to be compiled in the end."""
+    return _mode == AUTO and not is_outside_xla() and _platform() == "cpu"
+
+
+def tried_in_numpy(
+    job: Callable[[], T], work: float, kind: Hashable, believed: Callable[[T], bool] | None = None
+) -> T | None:
     """Return the result of a job that is worth so many windows of a small test, evaluated in NumPy; None
-    where it is to be compiled, or a primitive of it is not written in NumPy.
+    where it is to be compiled, a primitive of it is not written in NumPy, or what comes out is not believed.
     """
     if spared(work, kind):
         with outside_xla(), contextlib.suppress(NotImplementedError):
-            return job()
+            out = job()
+            if believed is None or believed(out):
+                judged_by().add("NumPy")
+                return out
+    judged_by().add("XLA")
     return None
+
+
+def judged_by() -> set[str]:
+    """Return the set in which this thread notes who judges; it counts where `noted` collects them."""
+    return getattr(_state, "ways", set())
+
+
+@contextlib.contextmanager
+def noted(ways: set[str] | None = None) -> Iterator[set[str]]:
+    """Collect "NumPy", "XLA": by what this thread judges until the block ends.
+
+    Args:
+        ways: the set in which they are collected; None: a new one.
+    """
+    before = judged_by()
+    _state.ways = set() if ways is None else ways
+    try:
+        yield _state.ways
+    finally:
+        _state.ways = before
 
 
 def is_outside_xla() -> bool:

@@ -6,7 +6,7 @@ from typing import ParamSpec, TypeVar
 import jax
 import numpy as np
 
-from jaxbound.sets.floats.kernel import is_outside_xla, is_sparing, outside_xla, sparing
+from jaxbound.sets.floats.kernel import is_outside_xla, is_sparing, judged_by, noted, outside_xla, sparing
 from jaxbound.sets.floats.probe import is_searching, searching
 
 P = ParamSpec("P")
@@ -21,7 +21,7 @@ def has_x64() -> bool:
 def inherited(job: Callable[P, T]) -> Callable[P, T]:
     """Return a function that does the job in any thread with the settings of the thread that asks here.
 
-    Settings are x64, `outside_xla`, `sparing` and `searching`; the device is left to the job.
+    Settings are x64, `outside_xla`, `sparing`, `noted` and `searching`; the device is left to the job.
 
     Example:
         >>> from concurrent.futures import ThreadPoolExecutor
@@ -30,9 +30,10 @@ def inherited(job: Callable[P, T]) -> Callable[P, T]:
         False
     """
     wide, outside, searched, spares = has_x64(), is_outside_xla(), is_searching(), is_sparing()
+    ways = judged_by()
 
     def run(*args: P.args, **kwargs: P.kwargs) -> T:
-        with jax.enable_x64(wide), outside_xla(outside), searching(searched), sparing(spares):
+        with jax.enable_x64(wide), outside_xla(outside), searching(searched), sparing(spares), noted(ways):
             return job(*args, **kwargs)
 
     return run
