@@ -147,7 +147,9 @@ class BisectionTest(WindowTest):
             status[outside] = Status.UNDECIDED
             # a primitive of a newer jax, which NumPy does not know, excludes nothing
             with outside_xla(), contextlib.suppress(NotImplementedError):
-                status[outside] = _exclude(self.relations, U[outside], Y[outside], self.budget).status
+                # all unknowns, for all that rounds to the recorded samples
+                f, samples = Thick(frozen(self.relations.f)), thick(U[outside], Y[outside])
+                status[outside] = _paved(self.relations, f, samples, self.budget, "none", "widest").status
         return status
 
 
@@ -167,11 +169,6 @@ def whole_budget(budget: object) -> int:
 def search_unknowns(relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget: int) -> Paving:
     """Search for unknowns that explain each window."""
     return _paved(relations, flat(frozen(relations.f)), (U, Y), budget, solutions="one", cut="smear")
-
-
-def _exclude(relations: ResidualRelations, U: np.ndarray, Y: np.ndarray, budget: int) -> Paving:
-    """Exclude unknowns for all that rounds to the recorded samples."""
-    return _paved(relations, Thick(frozen(relations.f)), thick(U, Y), budget, solutions="none", cut="widest")
 
 
 def thick(U: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, ...]:

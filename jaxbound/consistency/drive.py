@@ -369,13 +369,9 @@ def _last_look(test: WindowTest, filling: "_Filling", ends: np.ndarray, size: in
     """Ask easy windows of what the search leaves open: verdicts do not depend on who is asked first, nor on
     the windows beside.
     """
-    margin = filling.outs[0]
-    if test.easy_first and test.easy is None:
+    if test.easy is None:
         return
-    left = ends[margin[ends] == 0]
-    if not len(left) or test.easy is None:
-        return
-    own = min(size, test.easy.windows.block)
+    left, own = ends[filling.outs[0][ends] == 0], min(size, test.easy.windows.block)
     _Gathering(test.easy.windows, filling, own, reporter(None)).judge_all(left - test.horizon)
 
 
@@ -458,9 +454,13 @@ class _Gathering:
             devices = devices[:1]
         together = size * len(devices) if test.sharded else size
         groups = [starts[i : i + together] for i in range(0, len(starts), together)]
-        workers = self._workers(devices)
+        workers = len(devices)
+        if test.threads:  # where the host waits, others use the cores
+            workers = max(2, CORES // len(devices))
+        elif test.sharded:
+            workers = 1
         if workers == 1 or len(groups) < 2 or is_outside_xla():
-            judged = _ahead(self._judge(group, devices) for group in groups)
+            judged = _ahead(map(partial(self._judge, devices=devices), groups))
         else:
             judged = self._on_threads(groups, devices, workers)
         left, finished = [NOWHERE], 0
@@ -470,14 +470,6 @@ class _Gathering:
                 finished += len(chosen)
                 self.report(finished / len(starts))
         return np.concatenate(left)
-
-    def _workers(self, devices: Devices) -> int:
-        """Return how many threads judge at once."""
-        if self.test.threads:  # where the host waits, others use the cores
-            return max(2, CORES // len(devices))
-        if self.test.sharded:
-            return 1
-        return len(devices)
 
     def _on_threads(self, groups: list[np.ndarray], devices: Devices, workers: int) -> Iterator[list[Part]]:
         """Yield the same from threads: compiled code runs outside the interpreter's lock."""
@@ -526,9 +518,10 @@ class _Gathering:
     def _write(self, chosen: np.ndarray, arrays: Arrays) -> np.ndarray:
         """Write the values of the windows that start at `chosen`; return the starts left open."""
         values = [np.asarray(x)[..., : len(chosen)] for x in arrays]
-        count = len(self.filling.outs)
-        self.test.write(self.filling.outs, chosen + self.test.horizon, values[:count])
-        if len(values) == count:
+        outs, at = self.filling.outs, chosen + self.test.horizon
+        for out, own in zip(outs, values, strict=False):
+            out[at] = own
+        if len(values) == len(outs):
             return chosen[:0]
         left: np.ndarray = chosen[values[-1]]
         return left

@@ -137,7 +137,7 @@ class ExchangeTest(SignedTest):
         """
         (margin,) = outs
         starts = np.flatnonzero(margin == 0) - self.horizon
-        if len(starts):
+        if len(starts):  # where bounds are as thin as rounding no search in floats decides, however long
             some = self._lacking(u, y, starts) | thin(self.reading, *self._gather(u, y, starts))
             margin[starts[some] + self.horizon] = self.exactly(u, y, starts[some])
         if is_outside_xla():  # all windows were searched in NumPy

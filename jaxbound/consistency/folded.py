@@ -43,16 +43,6 @@ class _Row(NamedTuple):
     factor: Number = 1
 
 
-class _Strip(NamedTuple):
-    """One strip of windows. Fields: residual; width; size: ROOM times what errors are relative to beside the
-    width.
-    """
-
-    residual: jax.Array
-    width: jax.Array
-    size: jax.Array
-
-
 def folds(reading: Reading) -> bool:
     """Return whether strips can be tested so: those of few circuits, with no sums among their rows."""
     shape = reading.shape
@@ -88,23 +78,12 @@ def tested(reading: Reading, u: Columns, y: Columns) -> Iterator[tuple[jax.Array
     strips, dtype = reading.strips, y[0][0].dtype
     gamma, least = rounding.folded_error(strips.h.shape[1] + strips.k.shape[1], dtype)
     floor = least * (1 + jnp.max(jnp.abs(strips.h)) * jnp.max(_factors(reading)))
-    for residual, width, size in _strips(reading, u, y):
-        yield residual, width, gamma / ROOM * (size + ROOM * width) + floor
-
-
-def _factors(reading: Reading) -> jax.Array:
-    """Return a (p,), the last factor of a reading."""
-    return 1 / (1 - reading.tolerance)
-
-
-def _strips(reading: Reading, u: Columns, y: Columns) -> Iterator[_Strip]:
-    """Yield the strips of all circuits, NaN where one needs what windows do not look at."""
-    strips, dtype = reading.strips, y[0][0].dtype
     top, rows, inputs = np.finfo(dtype).max, _window_rows(reading, u, y), _inputs(reading, u)
     assert strips.supports is not None and strips.inputs is not None
     for c, support in enumerate(strips.supports):
         if not all(reading.window.all[i].seen for i in support):
-            yield _Strip(*[jnp.full((), jnp.nan, dtype)] * 3)
+            nothing = jnp.full((), jnp.nan, dtype)
+            yield nothing, nothing, nothing
             continue
         coefficients: dict[int, jax.Array] = {}
         for place, i in enumerate(support):  # a circuit that was filled up has a row more than once
@@ -115,28 +94,31 @@ def _strips(reading: Reading, u: Columns, y: Columns) -> Iterator[_Strip]:
             terms.append((jnp.clip(h * rows[i].factor, -top, top), rows[i]))
         for b in strips.inputs[c]:
             terms.append((-strips.k[c, b], inputs[b]))
-        yield _strip(terms)
+        residual, width, size = _summed(terms)
+        yield residual, width, gamma / ROOM * (size + ROOM * width) + floor
 
 
-def _strip(terms: list[tuple[jax.Array, _Row]]) -> _Strip:
-    """Return a strip from its rows and inputs with their coefficients; numbers are added first."""
+def _factors(reading: Reading) -> jax.Array:
+    """Return a (p,), the last factor of a reading."""
+    return 1 / (1 - reading.tolerance)
+
+
+def _summed(terms: list[tuple[jax.Array, _Row]]) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return (residual, width, size) of a strip from its rows and inputs with their coefficients; size: ROOM
+    times what errors are relative to beside the width. Numbers are added first.
+    """
     residual: Number = 0
     width: Number = 0
     size: Number = 0
     for H, row in terms:
         size += ROOM * jnp.abs(H) * row.still
-    for H, row in sorted(terms, key=_of_samples):
+    for H, row in sorted(terms, key=lambda term: term[1].mid.ndim > 0):
         weight = jnp.abs(H)
         residual += H * row.mid
         if row.rad is not None:
             width += weight * row.rad
         size += ROOM * weight * row.size
-    return _Strip(jnp.asarray(residual), jnp.asarray(width), jnp.asarray(size))
-
-
-def _of_samples(term: tuple[jax.Array, _Row]) -> bool:
-    """Return whether a term differs from window to window."""
-    return term[1].mid.ndim > 0
+    return jnp.asarray(residual), jnp.asarray(width), jnp.asarray(size)
 
 
 def _window_rows(reading: Reading, u: Columns, y: Columns) -> list[_Row]:

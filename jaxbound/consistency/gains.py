@@ -65,7 +65,7 @@ class GainsTest(HolesTest):
         return _Gained(**vars(rows), gains=around, inner=within, own=own)
 
     def hints(self, image: HostImage) -> tuple[Found, HostImage]:
-        """Return the hints of windows, and their rows at the gains of these hints."""
+        """Return the hints of a search, and the rows at the gains that it found."""
         assert isinstance(image, _Gained)
         gains, found = image.searched(image.acting)
         tolerance = np.asarray(self.reading.tolerance)[:, None]

@@ -90,7 +90,7 @@ class HolesTest(SignedTest):
         return HostImage.of(self.reading, u, y)
 
     def hints(self, image: HostImage) -> tuple["Found", HostImage]:
-        """Return the hints of windows, and the rows that its unknowns may explain."""
+        """Return the hints of a search, and the rows that its unknowns may explain."""
         return _searched(image), image
 
     def decided(self, image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np.ndarray:

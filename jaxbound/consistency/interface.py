@@ -106,18 +106,6 @@ class WindowReading(Protocol):
         """How many samples of u a window has."""
 
 
-class Reach(Protocol):
-    """How far a verdict looks back: over horizon + 1 samples, or over all since an observer began."""
-
-    @property
-    def remembers(self) -> bool:
-        """Whether verdicts rest on all samples before."""
-
-    @property
-    def horizon(self) -> int:
-        """A window has horizon + 1 samples."""
-
-
 class Verdicts(Protocol):
     """Verdicts of samples, as an observer's `fold` returns them."""
 
@@ -549,11 +537,6 @@ class WindowTest:
             may say which windows are left open; hints may follow, by which `refuted` proves each FAULT.
         """
         raise NotImplementedError
-
-    def write(self, outs: Sequence[np.ndarray], at: np.ndarray, values: Sequence[np.ndarray]) -> None:
-        """Write the values of windows that end at samples `at` into the arrays of `outputs`."""
-        for out, own in zip(outs, values, strict=True):
-            out[at] = own
 
     def settle(self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, progress: Progress) -> None:
         """Decide windows that were left open, in place.

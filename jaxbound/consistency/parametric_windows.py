@@ -300,6 +300,7 @@ def bisected(
         leaves.append(Leaves(owner, lo, hi, h).chosen(margin < 0))
         return Verdicts(~(margin < 0) & ~found, found, (start, start), None, axis)
 
+    # of one box a window the first level is the last: what is cut behind it nobody looks at
     *_, cover = explore(judge, -one, one, count, 200, budget, first=True)
     margin, points = levels[0]
     points[:, cover.proofs.owner] = cover.proofs.lo

@@ -140,12 +140,13 @@ def easy_by(relations: LinearRelations, reading: Reading, dtype: DTypeLike) -> E
     kept = looked[outer] > 0
     outer = outer[kept]
     R, K = np.asarray(reading.frame.R)[kept], np.asarray(reading.frame.K)[kept]
+    # radii of a window's own: one matrix for all would settle a fifth fewer, and leave them to the search
     radius, weighted = typical[[*outer, *inner]], bool(np.any(reading.tolerance)) or bool(reading.times)
     projection = projection_of(R, K, radius, outer.tolist(), inner, dtype, weighted)
     if projection is None:
         return None
     stretches = None
-    if len(radius) <= ROWS:
+    if len(radius) <= ROWS:  # half the time that windows take which are gathered
         stretches = EasyStretches(relations, dtype, projection, reading)
     return Easy(stretches, EasyWindows(relations, dtype, projection, reading))
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxbound.consistency.host_rows import Ends, HostRows, Input, Series
+from jaxbound.consistency.host_rows import Ends, HostRows
 from jaxbound.consistency.reading import Reading, gather
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.sets.floats import rounding
@@ -79,28 +79,26 @@ class HostStrips:
         every = [rows.row(i) for i in range(len(self.reading.window))]
         inputs = [rows.input(b) for b in range(rows.inputs)]
         for strip in self.strips:
-            yield self._sums(strip, every, inputs)
-
-    def _sums(self, strip: _HostStrip, rows: list[Series], inputs: list[Input]) -> tuple[Ends, Ends, Ends]:
-        """Return the sums of one strip."""
-        least: Ends = 0.0
-        most: Ends = 0.0
-        size: Ends = 0.0
-        for i, c in zip(strip.rows, strip.h, strict=True):
-            if not self.reading.window.all[i].seen:
-                return 0.0, 0.0, np.inf
-            lo, hi, own = rows[i]
-            if c < 0:
-                lo, hi = hi, lo
-            least, most, size = least + c * lo, most + c * hi, size + abs(c) * own
-        slip: Ends = 0.0
-        for b, c in zip(strip.inputs, strip.k, strict=True):
-            value, off, own = inputs[b]
-            least, most = least - c * value, most - c * value
-            slip, size = slip + abs(c) * off, size + abs(c) * own
-        terms, largest = len(strip.rows) + len(strip.inputs), max(map(abs, (*strip.h, *strip.k)))
-        gamma, floor = rounding.residual_error(terms + 8, np.float64)
-        return least, most, slip + (float(gamma) * size + float(floor) * (1 + largest))
+            # what windows do not look at bounds nothing, and an infinite error excludes nothing
+            if not all(self.reading.window.all[i].seen for i in strip.rows):
+                yield 0.0, 0.0, np.inf
+                continue
+            least: Ends = 0.0
+            most: Ends = 0.0
+            size: Ends = 0.0
+            slip: Ends = 0.0
+            for i, c in zip(strip.rows, strip.h, strict=True):
+                lo, hi, own = every[i]
+                if c < 0:
+                    lo, hi = hi, lo
+                least, most, size = least + c * lo, most + c * hi, size + abs(c) * own
+            for b, c in zip(strip.inputs, strip.k, strict=True):
+                value, off, own = inputs[b]
+                least, most = least - c * value, most - c * value
+                slip, size = slip + abs(c) * off, size + abs(c) * own
+            terms, largest = len(strip.rows) + len(strip.inputs), max(map(abs, (*strip.h, *strip.k)))
+            gamma, floor = rounding.residual_error(terms + 8, np.float64)
+            yield least, most, slip + (float(gamma) * size + float(floor) * (1 + largest))
 
 
 def host_strips(reading: Reading, exact_h: Matrix, exact_k: Matrix) -> HostStrips:

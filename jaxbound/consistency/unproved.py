@@ -52,7 +52,8 @@ def _whole(kernel: Smooth, reading: Reading, u: jax.Array, y: jax.Array, gone: n
     program, none op by op.
     """
     shape = y.shape[:-1]
-    margin = jnp.pad(kernel(reading, *_flat(u, y)), (reading.horizon, 0)).reshape(shape)
+    ends = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
+    margin = jnp.pad(kernel(reading, *ends), (reading.horizon, 0)).reshape(shape)
     return jnp.where(gone.reshape((1,) * (y.ndim - 2) + gone.shape), jnp.nan, margin)
 
 
@@ -77,11 +78,6 @@ def over_blocks(
 
     found: jax.Array = jax.lax.map(one_block, filled)
     return found.reshape(-1)[: len(starts)]
-
-
-def _flat(u: jax.Array, y: jax.Array) -> list[jax.Array]:
-    """Return samples (..., T, n) laid end to end."""
-    return [x.reshape(math.prod(y.shape[:-1]), x.shape[-1]) for x in (u, y)]
 
 
 def within(margin: jax.Array, given: Recording, horizon: int) -> jax.Array:

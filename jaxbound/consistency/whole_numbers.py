@@ -9,15 +9,13 @@ in floats, which then decides nothing. A strip times all denominators compares i
 some microseconds for each, so only windows with such a bound come here. Those of a search: `holes`.
 """
 
-from math import lcm
-
 import numpy as np
 
 from jaxbound.consistency.host_rows import HostRows
 from jaxbound.consistency.interface import Array, LinearRelations
 from jaxbound.consistency.reading import Reading
-from jaxbound.exact.integers import ratios, total
-from jaxbound.exact.linalg import Matrix
+from jaxbound.exact.integers import ratios
+from jaxbound.exact.linalg import Matrix, integers
 from jaxbound.sets.floats import rounding
 
 THIN = {np.dtype(np.float64): 2.0**26, np.dtype(np.float32): 2.0**12}
@@ -84,16 +82,13 @@ def exact_strip_margins(
     lo, hi = (np.where(absent, 0, x) for x in rows.ends())
     gauge, out, inside = np.full(N, -1.0), np.zeros(N, bool), np.ones(N, bool)
     for exact_h, exact_k in zip(*strips, strict=True):
-        i, j = (np.flatnonzero(np.array(row, bool)) for row in (exact_h, exact_k))
-        common = lcm(*(x.denominator for x in (*exact_h, *exact_k)))
-        h, k = [int(exact_h[a] * common) for a in i], [int(exact_k[b] * common) for b in j]
-        behind = total(x * (lo[a] + hi[a]) for a, x in zip(i, h, strict=True))
-        middle = abs(behind - total(2 * x * known[b] for b, x in zip(j, k, strict=True))) + np.zeros(
-            N, object
-        )
-        width = total(abs(x) * (hi[a] - lo[a]) for a, x in zip(i, h, strict=True))
-        slip = total(2 * abs(x) * slips[b] for b, x in zip(j, k, strict=True))
-        silent, floor = missing[j].any(0), 2 * rows.floor() * sum(map(abs, h))
+        whole = np.array(integers((*exact_h, *exact_k))[0], object)
+        h, k = whole[: len(exact_h)], whole[len(exact_h) :]
+        i, j = np.flatnonzero(h), np.flatnonzero(k)
+        h, k = h[i], k[j]
+        middle = abs(h @ (lo[i] + hi[i]) - 2 * (k @ known[j]))
+        width, slip = abs(h) @ (hi[i] - lo[i]), 2 * (abs(k) @ slips[j])
+        silent, floor = missing[j].any(0), 2 * rows.floor() * abs(h).sum()
         present = ~(absent[i].any(0) | silent)
         out |= present & (middle - width - slip > floor).astype(bool)
         inside &= ((middle + slip <= width).astype(bool) | ~present) & ~silent

@@ -1,6 +1,4 @@
-"""Arrays of Python's integers: floats made whole, sums of any length, and ratios back in floats."""
-
-from collections.abc import Iterable
+"""Arrays of Python's integers: floats made whole, and ratios back in floats."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,11 +25,6 @@ def whole_floats(x: ArrayLike, power: int) -> np.ndarray:
     whole = (mantissa * 2.0**MANTISSA).astype(np.int64).astype(object)
     shift = np.where(mantissa == 0, 0, exponent + (power - MANTISSA))
     return np.asarray(whole << shift.astype(object))
-
-
-def total(parts: Iterable[np.ndarray]) -> np.ndarray:
-    """Return the sum of arrays of integers; 0 for none."""
-    return np.asarray(sum(parts, 0), object)
 
 
 def ratios(x: np.ndarray, y: np.ndarray) -> np.ndarray:

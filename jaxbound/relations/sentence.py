@@ -3,8 +3,9 @@
 from collections.abc import Iterable
 from fractions import Fraction
 
-from jaxbound.consistency.interface import Reach, Relations
+from jaxbound.consistency.interface import Relations
 from jaxbound.exact.linalg import Vector
+from jaxbound.models.region import Reach
 from jaxbound.models.rows import Kind, Row
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows

@@ -21,6 +21,7 @@ from jaxbound.sets.intervals.interval import (
     add,
     computed,
     div,
+    empty_where,
     hull,
     intersection,
     mag,
@@ -112,10 +113,7 @@ def scaled(x: Interval, factor: float | jax.Array) -> Interval:
     """Return x times numbers; 0, 1 and -1 are exact, because derivatives are full of them."""
     if isinstance(factor, float):
         if factor == 0:
-            return Interval(
-                jnp.where(x.is_empty, jnp.inf, jnp.zeros_like(x.lo)),
-                jnp.where(x.is_empty, -jnp.inf, jnp.zeros_like(x.hi)),
-            )
+            return empty_where(x.is_empty, jnp.zeros_like(x.lo), jnp.zeros_like(x.hi))
         turned = x if factor > 0 else neg(x)
         return turned if abs(factor) == 1 else _scaled_up(turned, abs(factor))
     positive = factor > 0

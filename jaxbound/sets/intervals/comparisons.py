@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals.bounds import Number, bound
-from jaxbound.sets.intervals.interval import Interval, Operand, pair
+from jaxbound.sets.intervals.interval import Interval, Operand, alike
 
 __all__ = ["contains", "disjoint", "interior", "less", "precedes", "subset"]
 
@@ -30,7 +30,7 @@ def _relation(holds: Callable[..., jax.Array]) -> Callable[[Operand, Operand], j
 
     @wraps(holds, WRAPPER_ASSIGNMENTS[:4])
     def relation(x: Operand, y: Operand) -> jax.Array:
-        x, y = pair(x, y)
+        x, y = alike(x, y)
         known = reduce(operator.and_, [end == end for end in (x.lo, x.hi, y.lo, y.hi)])
         return known & holds(
             _ordered(x), _ordered(y), x.is_empty, y.is_empty, rounding.order(jnp.full((), jnp.inf, x.dtype))

@@ -19,7 +19,7 @@ Example:
     True
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import reduce, wraps
 from typing import cast, overload
 
@@ -30,7 +30,7 @@ from jax.typing import ArrayLike, DTypeLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.intervals import angles, approximations
-from jaxbound.sets.intervals.interval import Interval, Operand, interval
+from jaxbound.sets.intervals.interval import Interval, Operand, alike, empty_where, or_empty
 
 __all__ = [
     "acos",
@@ -72,33 +72,15 @@ def _elementary(f: Callable[..., Interval]) -> Callable[..., Interval]:
     def compiled(*xs):
         sets = [Interval(*rounding.readable_bounds(x.lo, x.hi)) for x in xs]
         out = f(*sets)
-        lo = jnp.where(reduce(jnp.logical_or, [x.lo == jnp.inf for x in sets]), jnp.inf, out.lo)
-        return Interval(
-            lo, jnp.where(reduce(jnp.logical_or, [x.hi == -jnp.inf for x in sets]), -jnp.inf, out.hi)
-        )
+        return or_empty(out.lo, out.hi, *sets)
 
     @wraps(f)
     def call(*xs):
-        return compiled(*_joined(xs))
+        given = alike(*xs)
+        shape = jnp.broadcast_shapes(*(x.shape for x in given))
+        return compiled(*jax.tree.map(lambda end: jnp.broadcast_to(end, shape), given))
 
     return call
-
-
-def _joined(xs: Sequence[Operand]) -> list[Interval]:
-    """Return Intervals of one shape and dtype; a plain number takes the dtype of its partners, outward."""
-    given = [x for x in xs if isinstance(x, Interval)]
-    dtype = jnp.result_type(*(x.dtype for x in given)) if given else None
-    out = []
-    for x in xs:
-        if given and isinstance(x, (int, float)) and not isinstance(x, bool):
-            x = interval(rounding.round_down(x, dtype), rounding.round_up(x, dtype))
-        out.append(interval(x))
-    dtype = jnp.result_type(*(x.dtype for x in out))
-    shape = jnp.broadcast_shapes(*(x.shape for x in out))
-    return [
-        Interval(*(rounding.widened(jnp.broadcast_to(end, shape), dtype) for end in (x.lo, x.hi)))
-        for x in out
-    ]
 
 
 def _widen(
@@ -125,10 +107,6 @@ def _within(x: Interval, least: float, largest: float) -> tuple[jax.Array, jax.A
     """Return the ends of x cut to a domain, and whether anything is left."""
     lo, hi = jnp.clip(x.lo, least, largest), jnp.clip(x.hi, least, largest)
     return lo, hi, (x.hi < least) | (x.lo > largest)
-
-
-def _emptied(empty: jax.Array, lo: jax.Array, hi: jax.Array) -> Interval:
-    return Interval(jnp.where(empty, jnp.inf, lo), jnp.where(empty, -jnp.inf, hi))
 
 
 @_elementary
@@ -184,7 +162,7 @@ def _logarithm(name: str, x: Interval) -> Interval:
     f, low, high = getattr(approximations, name), rounding.order(x.lo) > 0, rounding.order(x.hi) > 0
     lo, hi = _widen(name, f(jnp.where(low, x.lo, 1)), f(jnp.where(high, x.hi, 1)))
     lo, hi = jnp.where(x.lo == 1, 0, lo), jnp.where(x.hi == 1, 0, hi)
-    return _emptied(~high, jnp.where(low, lo, -jnp.inf), hi)
+    return empty_where(~high, jnp.where(low, lo, -jnp.inf), hi)
 
 
 @_elementary
@@ -264,7 +242,7 @@ def asin(x: Interval) -> Interval:
     low, high, empty = _within(x, -1, 1)
     top = _up(angles.PI / 2, x.dtype)
     out = kept_sign(x, *_widen("asin", angles.asin(low), angles.asin(high), -top, top))
-    return _emptied(empty, out.lo, out.hi)
+    return empty_where(empty, out.lo, out.hi)
 
 
 @_elementary
@@ -272,7 +250,7 @@ def acos(x: Interval) -> Interval:
     """Return the inverse cosine of the numbers of x in [-1, 1]. Source: IEEE 1788 acos."""
     low, high, empty = _within(x, -1, 1)
     lo, hi = _widen("acos", angles.acos(high), angles.acos(low), 0, _up(angles.PI, x.dtype))
-    return _emptied(empty, lo, jnp.where(low == 1, 0, hi))
+    return empty_where(empty, lo, jnp.where(low == 1, 0, hi))
 
 
 @_elementary
@@ -300,7 +278,7 @@ def atan2(y: Interval, x: Interval) -> Interval:
     hi = jnp.where(below & ((y.hi < 0) | (x.lo >= 0)), jnp.minimum(hi, 0), hi)
     cut = (y.lo < 0) & (y.hi >= 0) & (x.lo < 0)
     origin = (y.lo == 0) & (y.hi == 0) & (x.lo == 0) & (x.hi == 0)
-    return _emptied(origin, jnp.where(cut, -top, lo), jnp.where(cut, top, hi))
+    return empty_where(origin, jnp.where(cut, -top, lo), jnp.where(cut, top, hi))
 
 
 @_elementary
@@ -334,7 +312,7 @@ def acosh(x: Interval) -> Interval:
     """Return the inverse hyperbolic cosine of the numbers >= 1 in x. Source: IEEE 1788 acosh."""
     low, high, empty = _within(x, 1, jnp.inf)
     lo, hi = _widen("acosh", approximations.acosh(low), approximations.acosh(high), least=0)
-    return _emptied(empty, lo, jnp.where(high == 1, 0, hi))
+    return empty_where(empty, lo, jnp.where(high == 1, 0, hi))
 
 
 @_elementary
@@ -342,7 +320,7 @@ def atanh(x: Interval) -> Interval:
     """Return the inverse hyperbolic tangent of the numbers of x in (-1, 1). Source: IEEE 1788 atanh."""
     low, high, _ = _within(x, -1, 1)
     out = kept_sign(x, *_widen("atanh", approximations.atanh(low), approximations.atanh(high)))
-    return _emptied(
+    return empty_where(
         (x.hi <= -1) | (x.lo >= 1),
         jnp.where(x.lo <= -1, -jnp.inf, out.lo),
         jnp.where(x.hi >= 1, jnp.inf, out.hi),

@@ -200,24 +200,18 @@ def interval(lo: Operand, hi: Number | None = None) -> Interval:
     return computed(*settled(lo, hi))
 
 
-def pair(x: Operand, y: Operand) -> tuple[Interval, Interval]:
-    """Return both as Intervals; a plain number takes the dtype of its partner, outward."""
-    if not isinstance(x, Interval):
-        if isinstance(y, Interval):
-            return pair(y, x)[::-1]
-        x = interval(x)
-    if not isinstance(y, Interval):
-        number = isinstance(y, (int, float)) and not isinstance(y, bool)
-        y = (
-            interval(rounding.round_down(y, x.dtype), rounding.round_up(y, x.dtype))
-            if number
-            else interval(y)
-        )
-    if x.dtype != y.dtype:
-        dtype = jnp.result_type(x.dtype, y.dtype)
-        wider = lambda v: jax.tree.map(lambda end: rounding.widened(end, dtype), v)
-        return wider(x), wider(y)
-    return x, y
+def alike(*xs: Operand) -> list[Interval]:
+    """Return all as Intervals of one dtype; a plain number takes the dtype of its partners, outward."""
+    given, out = [x.dtype for x in xs if isinstance(x, Interval)], []
+    for x in xs:
+        if given and isinstance(x, (int, float)) and not isinstance(x, bool):
+            own = jnp.result_type(*given)
+            x = interval(rounding.round_down(x, own), rounding.round_up(x, own))
+        out.append(interval(x))
+    dtype = jnp.result_type(*(x.dtype for x in out))
+    # who has that type stays as it is, and with it the mark that its bounds were looked at
+    wider = lambda x: jax.tree.map(lambda end: rounding.widened(end, dtype), x)
+    return [x if x.dtype == dtype else wider(x) for x in out]
 
 
 def computed(lo: jax.Array, hi: jax.Array) -> Interval:
@@ -238,10 +232,10 @@ def _read(x: Interval) -> Interval:
 
 def _close(lo: jax.Array, hi: jax.Array, *arguments: Interval) -> Interval:
     """Round outward; empty if any argument is."""
-    return _or_empty(*rounding.outward(lo, hi), *arguments)
+    return or_empty(*rounding.outward(lo, hi), *arguments)
 
 
-def _or_empty(lo: jax.Array, hi: jax.Array, *arguments: Interval) -> Interval:
+def or_empty(lo: jax.Array, hi: jax.Array, *arguments: Interval) -> Interval:
     """Make the result empty where an argument is; only an empty set has lo = inf, or hi = -inf, so that no
     bound asks for the other.
     """
@@ -251,19 +245,20 @@ def _or_empty(lo: jax.Array, hi: jax.Array, *arguments: Interval) -> Interval:
     )
 
 
-def _empty_where(empty: jax.Array, lo: jax.Array, hi: jax.Array) -> Interval:
+def empty_where(empty: jax.Array, lo: jax.Array, hi: jax.Array) -> Interval:
+    """Return an Interval of computed bounds, empty where that is said."""
     return computed(jnp.where(empty, jnp.inf, lo), jnp.where(empty, -jnp.inf, hi))
 
 
 def add(x: Operand, y: Operand) -> Interval:
     """Return the sum. Source: IEEE 1788 add."""
-    x, y = pair(x, y)
+    x, y = alike(x, y)
     return _close(x.lo + y.lo, x.hi + y.hi, x, y)
 
 
 def sub(x: Operand, y: Operand) -> Interval:
     """Return the difference. Source: IEEE 1788 sub."""
-    x, y = pair(x, y)
+    x, y = alike(x, y)
     return _close(x.lo - y.hi, x.hi - y.lo, x, neg(y))
 
 
@@ -274,7 +269,7 @@ def neg(x: Interval) -> Interval:
 
 def mul(x: Operand, y: Operand) -> Interval:
     """Return the product; 0 times an infinite bound is 0. Source: IEEE 1788 mul."""
-    x, y = map(_read, pair(x, y))
+    x, y = map(_read, alike(x, y))
     (above, below), (up, down) = ((v.lo >= 0, v.hi <= 0) for v in (x, y))
     beyond = x.hi >= 0
     least = _times(x.lo, jnp.where(above, y.lo, y.hi)), _times(x.hi, jnp.where(beyond, y.lo, y.hi))
@@ -298,7 +293,7 @@ def div(x: Operand, y: Operand) -> Interval:
     """Return the quotient; a divisor with an interior zero gives entire, [0, 0] gives empty. Source: IEEE
     1788 div.
     """
-    x, y = (computed(*rounding.unbounded(v.lo, v.hi)) for v in map(_read, pair(x, y)))
+    x, y = (computed(*rounding.unbounded(v.lo, v.hi)) for v in map(_read, alike(x, y)))
     down = y.hi <= 0  # x / y = (-x) / (-y)
     a, b, c, d = (jnp.where(down, -p, q) for p, q in ((x.hi, x.lo), (x.lo, x.hi), (y.hi, y.lo), (y.lo, y.hi)))
     nowhere, across = x.is_empty | y.is_empty | ((c == 0) & (d == 0)), (c < 0) & ~((a == 0) & (b == 0))
@@ -348,7 +343,7 @@ def pown(x: Interval, n: int) -> Interval:
     if n < 0:
         return recip(pown(x, -n))
     if n == 0:
-        return _or_empty(jnp.ones_like(x.lo), jnp.ones_like(x.hi), x)
+        return or_empty(jnp.ones_like(x.lo), jnp.ones_like(x.hi), x)
     if n < 3:
         return sqr(x) if n == 2 else x
     return _power(x, n)
@@ -363,36 +358,36 @@ def _power(x: Interval, n: int) -> Interval:
         power(near), power(far), approximations.UNITS["power"] + 16 * n * rounding.unit(x.dtype)
     )
     lo, hi = jnp.where(near >= 0, jnp.maximum(lo, 0), lo), jnp.where(far <= 0, jnp.minimum(hi, 0), hi)
-    return _or_empty(lo, hi, x)
+    return or_empty(lo, hi, x)
 
 
 def abs(x: Interval) -> Interval:
     """Return |x|, exactly. Source: IEEE 1788 abs."""
-    return _or_empty(mig(x), mag(x), x)
+    return or_empty(mig(x), mag(x), x)
 
 
 def min(x: Operand, y: Operand) -> Interval:
     """Return the range of the smaller, exactly. Source: IEEE 1788 min."""
-    x, y = map(_read, pair(x, y))
-    return _or_empty(jnp.minimum(x.lo, y.lo), jnp.minimum(x.hi, y.hi), x, y)
+    x, y = map(_read, alike(x, y))
+    return or_empty(jnp.minimum(x.lo, y.lo), jnp.minimum(x.hi, y.hi), x, y)
 
 
 def max(x: Operand, y: Operand) -> Interval:
     """Return the range of the larger, exactly. Source: IEEE 1788 max."""
-    x, y = map(_read, pair(x, y))
-    return _or_empty(jnp.maximum(x.lo, y.lo), jnp.maximum(x.hi, y.hi), x, y)
+    x, y = map(_read, alike(x, y))
+    return or_empty(jnp.maximum(x.lo, y.lo), jnp.maximum(x.hi, y.hi), x, y)
 
 
 def sum(x: Interval, axis: int = 0) -> Interval:
     """Return the sum along `axis`; the bound holds for any order of addition."""
-    return _empty_where(jnp.any(x.is_empty, axis), *rounding.outward_sum(x.lo, x.hi, axis))
+    return empty_where(jnp.any(x.is_empty, axis), *rounding.outward_sum(x.lo, x.hi, axis))
 
 
 def matmul(x: Operand, y: Operand) -> Interval:
     """Return the matrix product of (..., n, k) or (k,) and (..., k, m) or (k,): every entry an enclosed sum
     of products.
     """
-    x, y = pair(x, y)
+    x, y = alike(x, y)
     if not x.shape or not y.shape or x.shape[-1] != y.shape[-2:][0]:
         raise ValueError(
             f"matmul needs (..., n, k) or (k,) and (..., k, m) or (k,): the shapes are {x.shape} and "
@@ -467,21 +462,21 @@ def mig(x: Interval) -> jax.Array:
 
 def hull(x: Operand, y: Operand) -> Interval:
     """Return the smallest interval that holds both. Source: IEEE 1788 convexHull."""
-    x, y = map(_read, pair(x, y))
+    x, y = map(_read, alike(x, y))
     return computed(jnp.minimum(x.lo, y.lo), jnp.maximum(x.hi, y.hi))
 
 
 def intersection(x: Operand, y: Operand) -> Interval:
     """Return the intersection of two intervals, possibly empty. Source: IEEE 1788 intersection."""
-    x, y = pair(x, y)
+    x, y = alike(x, y)
     above = operator.gt if x._settled and y._settled else rounding.above
     apart = x.is_empty | y.is_empty | above(x.lo, y.hi) | above(y.lo, x.hi)
     x, y = map(_read, (x, y))
-    return _empty_where(apart, jnp.maximum(x.lo, y.lo), jnp.minimum(x.hi, y.hi))
+    return empty_where(apart, jnp.maximum(x.lo, y.lo), jnp.minimum(x.hi, y.hi))
 
 
 def equal(x: Operand, y: Operand) -> jax.Array:
     """Return whether both are the same set. Source: IEEE 1788 equal."""
-    x, y = pair(x, y)
+    x, y = alike(x, y)
     same = (rounding.order(x.lo) == rounding.order(y.lo)) & (rounding.order(x.hi) == rounding.order(y.hi))
     return same & (x.lo == x.lo) & (x.hi == x.hi)

@@ -124,7 +124,7 @@ def clipped_margin(given: Projection, rows: Rows, stretch: bool = False) -> tupl
     R, c, radius = given.R, len(given.outer), rows.radius
     eps = jnp.finfo(radius.dtype).eps
     weight, least = stored(1 / radius), _least_squares(given, rows)
-    z = stored(_relations(given, rows.mid, rows.known))
+    z = stored(rows.mid[:c] - _product(R, rows.mid[c:]) - _product(given.K, rows.known))
     share = stored(SHARE * radius)
     steps, seldom = (AHEAD, SELDOM) if stretch else (STEPS, z.shape[1] + 1)
 
@@ -187,12 +187,6 @@ def _least_squares(given: Projection, rows: Rows) -> LeastSquares:
         return solved(factor, _product(A.T[:, : len(x)], weighted))
 
     return LeastSquares(weights, fitting)
-
-
-def _relations(given: Projection, mid: jax.Array, known: jax.Array) -> jax.Array:
-    """Return z (c, N) of rows."""
-    c = len(given.outer)
-    return mid[:c] - _product(given.R, mid[c:]) - _product(given.K, known)
 
 
 def _errors(R: np.ndarray, z: jax.Array, d: jax.Array) -> jax.Array:
