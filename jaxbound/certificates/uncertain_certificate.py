@@ -26,7 +26,6 @@ from jaxbound.certificates.exact_window import (
 from jaxbound.certificates.interface import (
     Index,
     Sample,
-    WindowCertificate,
     certificate_of,
     nothing_to_explain,
 )
@@ -57,7 +56,7 @@ Explained: TypeAlias = tuple[Vector, ExactWindow, Vector]
 
 @readable
 @dataclass(frozen=True, eq=False)
-class UncertainCertificate(Witnessed, WindowCertificate):
+class UncertainCertificate(Witnessed):
     """A proof of the verdict of a window with uncertain parameters; every number is an exact Fraction.
 
     Fields:
