@@ -47,7 +47,7 @@ class Sizes(dict[str, "Fraction | float"]):
 
 @readable
 @dataclass(frozen=True, eq=False)
-class Certificate(Witnessed, WindowCertificate):
+class Certificate(Witnessed):
     """A proof of the verdict of a window; every number is an exact Fraction, so that anybody can check it.
 
     Fields:

@@ -26,7 +26,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import chain
 from typing import NamedTuple, Self, TypeAlias, TypeVar
 
@@ -198,7 +198,9 @@ class ExactWindow:
         h = [ZERO] * len(self.limits)
         for i, sign, x in zip(numbers, signs, best.h, strict=True):
             h[i] += sign * x  # both sides of a reading together: Farkas' lemma, see the module
-        return replace(best, h=readable_relation(h))
+        if any(h):  # the same relation in numbers that people can read: coprime, or divided by the largest
+            h = [*linalg.presentable(linalg.primitive(h))]
+        return replace(best, h=tuple(h))
 
     def is_explained(self) -> bool:
         """Return whether unknowns explain the window: those that floats propose, or the exact optimum."""
@@ -222,6 +224,7 @@ class ExactWindow:
             yield from self._bounds_of_rows()
             return
         p, none = self.model.p, (ZERO,) * len(self.gained)
+        own = dict(zip(self.gained, linalg.identity(len(self.gained)), strict=True))
         for bound in self._bounds_of_rows():
             if bound.number >= len(self.y):
                 yield bound._replace(row=(*bound.row, *none))
@@ -231,14 +234,14 @@ class ExactWindow:
             reach = bound.radius * self.gain_ends(i)[1]
             for sign, value in ((1, -lo), (-1, hi)):
                 middle = reach - sign * self.drive[bound.number]
-                if i not in self.gained:
+                if i not in own:
                     middle -= value
-                row = (*linalg.scale(bound.row, sign), *(value * (i == other) for other in self.gained))
+                row = (*linalg.scale(bound.row, sign), *linalg.scale(own.get(i, none), value))
                 yield Bound(bound.number, sign, row, middle, reach)
         nothing = (ZERO,) * len(self.unknown_columns()[0])
-        for i, own in zip(self.gained, linalg.identity(len(self.gained)), strict=True):
+        for i, unit in own.items():
             lo, hi = self.gain_ends(i)
-            yield Bound(0, 0, (*nothing, *own), (lo + hi) / 2, (hi - lo) / 2)
+            yield Bound(0, 0, (*nothing, *unit), (lo + hi) / 2, (hi - lo) / 2)
 
     def _bounds_of_rows(self) -> Iterator[Bound]:
         """Yield |middle - row z| <= radius of each row that has its samples, at gains of 1."""
@@ -250,7 +253,7 @@ class ExactWindow:
     @property
     def forms(self) -> tuple[Rows, Rows]:
         """(E, K): (Y, w) = E z + K U, with z = (first state, disturbances, unknown inputs)."""
-        return self.own or _forms(self.model, self.horizon)
+        return self.own or window.unknowns(self.model, self.horizon)
 
     def unknown_columns(self) -> Rows:
         """Return E with the columns of the missing inputs, which are unknowns as well, behind it."""
@@ -418,13 +421,6 @@ def known_inputs(model: LinearSystem, u: Sequence[Fraction | None]) -> Vector:
     return tuple(known)
 
 
-def readable_relation(h: Sequence[Fraction]) -> Vector:
-    """Return the same relation in numbers that people can read: coprime, or divided by the largest."""
-    if not any(h):
-        return tuple(h)
-    return linalg.presentable(linalg.primitive(h))
-
-
 def exact_window(relations: Bounded, u: np.ndarray, y: np.ndarray) -> ExactWindow:
     """Return the window of samples u (s+1, m), factors on noise behind them, y (s+1, p). The bounds are those
     that the kernel takes, to the last bit.
@@ -447,8 +443,3 @@ def window_of(
     inputs, outputs, factors = plain_samples(u[:, : model.m]), plain_samples(y), plain_factors(model, u)
     claim = claim_of(plain, inputs, outputs, str(y.dtype), relations.lags, first, factors)
     return kind(model, relations.horizon, claim, exact_floats(y), relations.lags)
-
-
-@lru_cache(maxsize=16)
-def _forms(model: LinearSystem, horizon: int) -> tuple[Rows, Rows]:
-    return window.unknowns(model, horizon)

@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -26,7 +26,6 @@ from jaxbound.certificates.exact_window import (
 from jaxbound.certificates.interface import (
     Index,
     Sample,
-    WindowCertificate,
     certificate_of,
     nothing_to_explain,
 )
@@ -34,7 +33,6 @@ from jaxbound.certificates.witness import Numbers, Witnessed, every_sample, in_r
 from jaxbound.consistency import parametric_windows
 from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Vector
-from jaxbound.models.system import LinearSystem
 from jaxbound.relations.polynomial import PolynomialMatrix
 from jaxbound.relations.sentence import at_sample, main_terms, sum_text
 from jaxbound.relations.uncertain import UncertainRelations
@@ -57,7 +55,7 @@ Explained: TypeAlias = tuple[Vector, ExactWindow, Vector]
 
 @readable
 @dataclass(frozen=True, eq=False)
-class UncertainCertificate(Witnessed, WindowCertificate):
+class UncertainCertificate(Witnessed):
     """A proof of the verdict of a window with uncertain parameters; every number is an exact Fraction.
 
     Fields:
@@ -157,9 +155,9 @@ class UncertainCertificate(Witnessed, WindowCertificate):
         if self.proof is not None:
             numbers |= {"relations": _shown(self.relations, self.window), "proof": self.proof}
         if self.z is not None:
-            chosen = dict(zip(_numbers(self.relations, self.window), self.chosen, strict=True))
-            every = range(len(self.window.claim["variables"]))
-            numbers["parameters"] = [chosen.get(Fraction(i), Fraction(0)) for i in every]
+            numbers["parameters"] = [Fraction(0)] * len(self.window.claim["variables"])
+            for number, value in zip(_numbers(self.relations, self.window), self.chosen, strict=True):
+                numbers["parameters"][int(number)] = value
         return self._document(self.proves, numbers, times, sample)
 
 
@@ -248,7 +246,7 @@ class _Proving:
     def at(self, v: Vector) -> ExactWindow:
         """Return the window at parameters v: what is left is linear."""
         w, model = self.window, self.window.model
-        E, H, V = (m.at(v) for m in _matrices(model, w.horizon))
+        E, H, V = (m.at(v) for m in uncertain_window(model, w.horizon)[1:])
         n, g = model.n, model.g * w.horizon
         rows = [(*e[:n], *x, *e[n:]) for e, x in zip(E, V, strict=True)]  # x, w, v as in `models.window`
         for i in range(g):  # disturbances are rows of their own
@@ -257,14 +255,6 @@ class _Proving:
             rows.append(tuple(own))
         K = H + linalg.zeros(g, len(w.u))
         return dataclasses.replace(w, own=(tuple(rows), K)).with_limits(w.limits)
-
-
-@lru_cache(maxsize=16)
-def _matrices(
-    model: LinearSystem, horizon: int
-) -> tuple[PolynomialMatrix, PolynomialMatrix, PolynomialMatrix]:
-    """Return (E, H, V) of `uncertain_window`."""
-    return uncertain_window(model, horizon)[1:]
 
 
 def _proof(

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias, TypeVar
 
 from jaxbound.certificates.checker.claim import checksum, statement
 from jaxbound.certificates.exact_window import ExactWindow
-from jaxbound.certificates.interface import Index, Sample
+from jaxbound.certificates.interface import Sample, WindowCertificate
 from jaxbound.certificates.plain import plain_names
 from jaxbound.exact.linalg import Matrix, Vector
 from jaxbound.sets.floats.status import Status
@@ -18,7 +18,7 @@ Numbers: TypeAlias = dict[str, Any]
 T = TypeVar("T")
 
 
-class Witnessed:
+class Witnessed(WindowCertificate):
     """A certificate of .window, an ExactWindow, with .z, the unknowns of a behaviour that explains it, or
     None.
 
@@ -27,9 +27,6 @@ class Witnessed:
 
     window: ExactWindow
     z: Vector | None
-    status: Status
-    at: Index
-    test: str
 
     @cached_property
     def _witness(self) -> dict[str, Vector]:
@@ -37,7 +34,7 @@ class Witnessed:
             return {}
         return _behaviour(self.window, self.z)
 
-    def _part_in_rows(self, name: str, width: int) -> Matrix | None:
+    def _part(self, name: str, width: int) -> Matrix | None:
         """Return a part of the witness as rows, None where there is no witness."""
         if self.z is None:
             return None
@@ -51,12 +48,12 @@ class Witnessed:
     @property
     def outputs(self) -> Matrix | None:
         """The true outputs of the witness, a tuple of s + 1 rows, or None."""
-        return self._part_in_rows("outputs", self.window.model.p)
+        return self._part("outputs", self.window.model.p)
 
     @property
     def disturbances(self) -> Matrix | None:
         """The disturbances of the witness, a tuple of s rows, or None."""
-        rows = self._part_in_rows("disturbances", self.window.model.g)
+        rows = self._part("disturbances", self.window.model.g)
         if rows == ():
             return ((),) * self.window.horizon
         return rows
@@ -66,12 +63,12 @@ class Witnessed:
         """The unknown inputs of the witness, a tuple of s rows (s + 1 where they act on the outputs at once),
         or None.
         """
-        return self._part_in_rows("unknown_inputs", self.window.model.d)
+        return self._part("unknown_inputs", self.window.model.d)
 
     @property
     def inputs(self) -> Matrix | None:
         """The inputs of the witness as recorded, missing ones filled in, a tuple of rows, or None."""
-        return self._part_in_rows("inputs", self.window.model.m)
+        return self._part("inputs", self.window.model.m)
 
     def _document(
         self, verdict: Status, proof: Numbers, times: Sequence[str] | None, sample: Sample

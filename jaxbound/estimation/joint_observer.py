@@ -149,16 +149,6 @@ class JointObserver(SetObserver[JointState]):
             first = stop
         return state, jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
-    def _next_block(self, state: JointState) -> JointState:
-        """Move the window on by a block, and enclose the state that will be the first of windows."""
-        number = int(state.samples) // self.half
-        return state._replace(
-            window=_later(state.window, self.half),
-            prior=self._sharpened(state, number),
-            mark=self._mark(state, number),
-            path=self._path_on(state, number),
-        )
-
     def _sharpened(self, state: JointState, number: int) -> Prior:
         """Return the sets of the states in the middle of windows: of the mark, met with what windows say."""
         lanes = np.flatnonzero(_is_known(state.prior) & _is_known(state.mark))
@@ -237,7 +227,9 @@ class JointObserver(SetObserver[JointState]):
 
     def _first_path(self, state: JointState) -> Prior:
         """Return the path where a trajectory begins anywhere in x0, and nowhere else."""
-        if self._first_prior(1) is None or self.plant.unknown is not None or self._has_more_bounds:
+        # an enclosure may leave these bounds out, a trajectory must not
+        more = isinstance(self.model, LinearSystem) and (self.model.averages or self.model.constant_tolerance)
+        if more or self._first_prior(1) is None or self.plant.unknown is not None:
             return state.path
         c, S, r, *_ = state.mark
         # sides of a box: a state is compared with each
@@ -248,13 +240,6 @@ class JointObserver(SetObserver[JointState]):
         within = np.where(sides, np.sign(S) * inner, S)
         path = Prior(c, within, np.zeros_like(r), *self._no_strips(r.shape[-1]))
         return _only(_is_known(state.mark) & ((S == 0) | sides).all((0, 1)), path)
-
-    @property
-    def _has_more_bounds(self) -> bool:
-        """Whether a model has bounds that an enclosure may leave out, and a trajectory must not."""
-        if not isinstance(self.model, LinearSystem):
-            return False
-        return bool(self.model.averages) or bool(self.model.constant_tolerance)
 
     def _trajectories(self, path: Prior, window: Samples) -> tuple[np.ndarray, ...]:
         """Return (ok, x, off) of the trajectories that a search finds, see `WindowPlant.explained`."""
@@ -271,14 +256,19 @@ class JointObserver(SetObserver[JointState]):
     def _tested(self, state: JointState, samples: Piece) -> tuple[JointState, steps.Found]:
         """Return (state, Found) of samples of one block."""
         T = len(samples.fresh)
-        if T and int(state.samples) % self.half == 0:
-            state = self._next_block(state)
+        number, place = divmod(int(state.samples), self.half)
+        if T and place == 0:  # the window moves on by a block, and its first state with it
+            state = state._replace(
+                window=_later(state.window, self.half),
+                prior=self._sharpened(state, number),
+                mark=self._mark(state, number),
+                path=self._path_on(state, number),
+            )
         if T:  # a set of the state at that very sample was made of the samples before the gap
             state = _believed(state, *[~samples.fresh[0]] * 3)
         t, before = int(state.samples), state.carry
-        block = t // self.half * self.half
+        block, begin = number * self.half, self.half + place
         after, found = self._followed(before, samples)
-        begin = self.half + t % self.half
         state = state._replace(window=self._with_samples(state.window, begin, samples, found))
         since = t + np.arange(T)[:, None] - found.age + 1
         # only where the zonotopes rest on all of the window: its first state is enclosed then

@@ -326,7 +326,8 @@ class SetObserver(Observer[State], Generic[State]):
         self, carry: steps.ZonotopeCarry, samples: Piece
     ) -> tuple[steps.ZonotopeCarry, steps.Found]:
         """Return (carry, Found (T, .., N)) of zonotopes that follow samples, in blocks."""
-        lanes, count, room = len(self.weights), samples.fresh.shape[-1], self._room
+        lanes, count = len(self.weights), samples.fresh.shape[-1]
+        room = max(BLOCK // lanes // EVEN, 1) * EVEN
         if is_outside_xla() and count > room:
             room = max(room, BESIDE)  # NumPy rounds alike whatever is beside
         followed = carry.age.shape[-1] // lanes
@@ -339,11 +340,6 @@ class SetObserver(Observer[State], Generic[State]):
 
         after, found = jax.tree.map(together, *in_blocks(job, count, room))
         return after, joined(found, lanes)
-
-    @property
-    def _room(self) -> int:
-        """How many recordings a block has."""
-        return max(BLOCK // len(self.weights) // EVEN, 1) * EVEN
 
     def _block(self, carry: steps.ZonotopeCarry, samples: Piece) -> tuple[steps.ZonotopeCarry, steps.Found]:
         """Follow some recordings side by side, piece by piece; the carry stays where it was worked out."""

@@ -239,7 +239,9 @@ class WindowPlant:
                 q[j] -= pull[j]
         first, q = q[0] + through(self.strips.T, strip), q[1:]
         on_m, a, b = l - through(H.T, P), np.abs(first), np.abs(P)
-        on_delta, on_w = on_m - self.runs.on_errors(u), through(plant.W.T, q) - self.runs.on_disturbances(u)
+        # averages speak of the same errors and disturbances: F_v' u and F_w' u
+        on_delta = on_m - np.einsum("aLp,aN->LpN", self.runs.v, u)
+        on_w = through(plant.W.T, q) - np.einsum("aLg,aN->LgN", self.runs.w, u)
         taken = through((wide_H + gamma * np.abs(H)).T, b) + gamma * np.abs(l)
         width, s = _told(prior.rad, prior.rad), _told(image.rad, image.rad)
         value = (on_m * image.m).sum((0, 1)) - (q * image.f).sum((0, 1))

@@ -38,14 +38,6 @@ class AverageRows(NamedTuple):
         """Return those of a model that bounds no averages."""
         return cls(np.zeros((0, L, p)), np.zeros((0, L, g)), np.zeros(0), np.zeros(0), np.zeros(p))
 
-    def on_errors(self, u: np.ndarray) -> np.ndarray:
-        """Return F_v' u (L, p, N) of multipliers u (a, N)."""
-        return np.asarray(np.einsum("aLp,aN->LpN", self.v, u))
-
-    def on_disturbances(self, u: np.ndarray) -> np.ndarray:
-        """Return F_w' u (L, g, N) of multipliers u (a, N)."""
-        return np.asarray(np.einsum("aLg,aN->LgN", self.w, u))
-
     def sizes(self, s: np.ndarray) -> np.ndarray:
         """Return the magnitudes (a, N) of all that stands in rows, of errors up to s (L, p, N)."""
         of_errors = np.einsum("aLp,LpN->aN", np.abs(self.v), s)

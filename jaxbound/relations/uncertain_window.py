@@ -12,6 +12,7 @@ variable.
 Source: Ploix, Adrot 2006, (1), (4).
 """
 
+from functools import lru_cache
 from typing import TypeAlias
 
 from jaxbound.exact import linalg
@@ -23,6 +24,7 @@ Variable: TypeAlias = tuple[str, int | None]
 """(name of the parameter, lag; None if it keeps one value)."""
 
 
+@lru_cache(maxsize=16)  # relations and certificates of one model ask for the same
 def uncertain_window(
     model: LinearSystem, horizon: int
 ) -> tuple[tuple[Variable, ...], PolynomialMatrix, PolynomialMatrix, PolynomialMatrix]:

@@ -70,6 +70,7 @@ LONG = jb.LinearSystem(
     name="drum",
 )
 OBSERVED = {
+    "observer, 7 samples": (7, False),
     "observer": (40, False),
     "observer, first state": (20, True),
     "observer, 513 samples": (513, False),

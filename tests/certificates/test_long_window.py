@@ -136,3 +136,14 @@ def test_gains_that_keep_their_value_are_no_contradiction_and_one_of_them_is_con
     apart = np.stack([1.9 * x, 0.9 * x], 1)
     document = json.loads(certify(about, u, apart).to_json())
     confirm(document)
+
+
+def test_a_short_stretch_knows_averages_and_says_which_sensor_is_wrong():
+    steady = jb.LinearSystem([[1]], None, [[1], [1]], noise=1, averages={"y1": {3: "0.1"}, "y2": {3: "0.1"}})
+    y = np.tile([[0.0, 0.5]], (6, 1))
+    found = certify(stretch(steady, 5), np.zeros((6, 0)), y)
+    confirm(document := json.loads(found.to_json()))
+    assert document["certificate"] == "FAULT" and document["numbers"]["averages"]
+    assert set(found.candidates) == {"y1", "y2"}
+    plain = certify(stretch(steady.replace(averages=None), 5), np.zeros((6, 0)), y)
+    assert plain.proves == jb.Status.CONSISTENT
