@@ -16,6 +16,7 @@ import jaxbound as jb
 from jaxbound.consistency.interface import Judged
 from jaxbound.consistency.monitor import Monitor
 from jaxbound.diagnosis.alarmrule import AlarmRule
+from jaxbound.diagnosis.region import Excursions
 from jaxbound.models.region import Departure, Region
 from jaxbound.runs.alarmbook import AlarmBook
 from jaxbound.runs.digest import detect_dataset
@@ -54,6 +55,20 @@ def words_of(res):
 def assert_same(found, res):
     for one, other in zip(found, words_of(res), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_the_input_that_leads_most_windows_out_is_named_first():
+    region = Region(("a", "b", "c"), ("", "", "bar"), np.zeros(3), np.ones(3), 0, 1)
+    by, reading = np.array([0, 2, 2, 1, 2]), np.array([1.5, 2.0, 3.0, 9.0, 2.0])
+    counted = Excursions(region)
+    counted.add(np.full(5, CONSISTENT), np.ones(5), Departure(reading - 1, by, reading, region))
+    counted.add(np.array([FAULT]), -np.ones(1), Departure(np.ones(1), by[:1], reading[:1], region))
+    found = counted.total()
+    assert list(found.inputs.items()) == [("a", 1)] and found.words == "a at 1.5, training up to 1"
+    counted = Excursions(region)
+    counted.add(np.full(5, CONSISTENT), np.ones(5), Departure(reading - 1, by, reading, region))
+    assert next(iter(counted.total().inputs.items())) == ("c", 3)
+    assert counted.total().words == "c at 3 bar, training up to 1 bar"
 
 
 def test_steps_and_bursts_say_what_detect_says():

@@ -1,11 +1,13 @@
 """A checkpoint is taken up by the run that left it, whole or not at all, and by no other."""
 
+import json
 import os
 
+import jax
 import numpy as np
 import pytest
 
-from jaxbound.files.checkpoint import Checkpoint, differences
+from jaxbound.files.checkpoint import Checkpoint, as_texts, differences, from_texts
 
 MINE = {"model": "a", "steps": "3"}
 
@@ -17,6 +19,14 @@ def test_what_was_saved_is_loaded(tmp_path, rng):
     assert found.keys() == {"x", "done", "none"} and int(found["done"]) == 3
     assert found["x"].tobytes() == x.tobytes() and found["none"].dtype == np.float32
     assert os.listdir(tmp_path) == ["x.state"]
+
+
+def test_a_state_comes_back_from_texts(rng):
+    state = {"x": rng.normal(size=(3, 2)), "none": (np.int32(3), np.zeros((0, 2), np.float32))}
+    texts = json.loads(json.dumps(as_texts(state)))
+    found = from_texts(jax.tree.map(np.zeros_like, state), texts)
+    same = jax.tree.map(lambda a, b: a.dtype == b.dtype and np.array_equal(a, b), state, found)
+    assert jax.tree.all(same) and as_texts(found) == texts
 
 
 def test_nothing_is_loaded_from_nothing(tmp_path):

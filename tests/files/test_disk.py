@@ -1,15 +1,18 @@
 """Files where POSIX is not: no locks, no flag against links, no folder to force to the disk."""
 
+import errno
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from jaxbound.files import disk, locks
 from jaxbound.files.checkpoint import Checkpoint
+from jaxbound.files.folders import cache_folder
 from jaxbound.files.locks import lock, locked, unshared
-from jaxbound.files.whole import whole
+from jaxbound.files.whole import UNFINISHED, whole
 from jaxbound.runs.outputs import output_folder
 from jaxbound.runs.refusals import Refused
 
@@ -78,16 +81,48 @@ def test_without_locks_nobody_is_kept_away_and_with_them_one_is(tmp_path, monkey
 
 
 def test_a_folder_is_forced_to_the_disk_behind_a_renamed_file(tmp_path, monkeypatch):
-    forced, real = [], os.fsync
+    forced, numbers, real = [], [], os.fsync
 
     def fsync(number):
         forced.append(os.path.samestat(os.fstat(number), os.stat(tmp_path)))
+        numbers.append(number)
         real(number)
 
     monkeypatch.setattr(os, "fsync", fsync)
     with whole(tmp_path / "a") as file:
         file.write(json.dumps(1).encode())
     assert forced == [False, True]
+    for number in numbers:
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(number)
+
+
+def test_nothing_of_what_a_killed_process_left_is_in_a_file(tmp_path):
+    (tmp_path / f".a{UNFINISHED}").write_bytes(b"left")
+    with whole(tmp_path / "a"):
+        pass
+    assert (tmp_path / "a").read_bytes() == b""
+
+
+def test_a_link_made_meanwhile_is_looked_at_again_and_another_trouble_is_said(tmp_path, monkeypatch):
+    troubles, real = [errno.EACCES, errno.ELOOP], locks.open_unlinked
+
+    def opened(path):
+        if troubles:
+            raise OSError(troubles.pop(), "trouble")
+        return real(path)
+
+    monkeypatch.setattr(locks, "open_unlinked", opened)
+    with pytest.raises(PermissionError, match="trouble"):
+        locked(tmp_path / "a")
+    locked(tmp_path / "a").close()
+
+
+def test_what_may_be_thrown_away_lies_where_the_user_says_or_at_home(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / "jaxbound"
+    monkeypatch.setenv("XDG_CACHE_HOME", "")
+    assert cache_folder() == Path.home() / ".cache" / "jaxbound"
 
 
 def test_two_commands_do_not_write_one_folder(tmp_path):

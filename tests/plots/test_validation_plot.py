@@ -23,7 +23,11 @@ def test_faulty_stretches_are_marked_and_replaced():
 def test_one_faulty_sample_in_a_million_is_drawn():
     ax = drawn(found_in(10**6, faulty=(654_321,)))
     corrected = next(x for x in ax.lines if x.get_label() == "corrected")
-    assert list(np.flatnonzero(np.isfinite(corrected.get_ydata()))) == [654_321 * 1200 // 10**6]
+    at = 654_321 * 1200 // 10**6
+    assert list(np.flatnonzero(np.isfinite(corrected.get_ydata()))) == [at]
+    (area,) = (x for x in ax.collections if x.get_label() == "measured, faulty")
+    drawn_at = np.concatenate([path.vertices[:, 0] for path in area.get_paths()])
+    assert set(np.unique(drawn_at)) == {corrected.get_xdata()[at]}
 
 
 def test_a_recording_without_any_band_is_drawn():

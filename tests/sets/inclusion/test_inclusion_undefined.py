@@ -82,6 +82,10 @@ def test_a_box_inside_the_domain_leaves_the_answer_to_nan_questions_sure():
     )
 
 
+def test_a_number_that_is_nowhere_defined_is_not_continuous_beside_one_that_is():
+    assert not inclusion(lambda z: jnp.stack([z, z + jnp.nan])).continuous(interval(2.0, 3.0))
+
+
 @pytest.mark.parametrize("method", ["natural", pytest.param("best", marks=pytest.mark.long)])
 def test_no_method_believes_a_derivative_where_nan_is_caught(method):
     found = inclusion(lambda z: jnp.where(jnp.isnan(jnp.sqrt(z[0])), 100.0, z[0]), method)(

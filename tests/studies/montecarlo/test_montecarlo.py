@@ -2,6 +2,9 @@
 done.
 """
 
+from copy import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from study_case import simple
@@ -101,6 +104,14 @@ def test_shares_grow_with_the_size_up_to_the_guaranteed_one(found):
     assert frame.rate.iloc[-1] == 1 and frame.delay_90.iloc[-1] <= found.horizon
     assert ((frame.share_lo <= frame.share) & (frame.share <= frame.share_hi)).all()
     assert frame.scenarios.tolist() == [3334, 3333, 3333]
+
+
+def test_half_of_all_and_nine_tenths_have_their_delays(found):
+    spread = np.array([[6.0, 1, 2, 1], [4, 3, 1, 0], [4, 1, 0, 0]])  # of ten, the last of them also missed
+    tally = copy(found.tallies[0])
+    tally.delays, tally.scenarios, tally.detected = spread, np.full(3, 10), spread.sum(1)
+    frame = replace(found, tallies=(tally,)).to_pandas()
+    assert frame.delay_median.tolist() == [0, 1, 1] and frame.delay_90.tolist() == [2, np.inf, np.inf]
 
 
 def test_delays_add_up_to_all_scenarios(found):
