@@ -12,7 +12,7 @@ def bank():
 
 
 def test_a_monitor_with_modes_has_no_false_alarm_where_its_conditions_are_right(bank, rng):
-    found = modes.healthy(bank, rng, runs=2, samples=300)
+    found = modes.healthy(bank, rng, runs=2, samples=150)
     for mode in ("mode known", "mode unknown", "no mode left unknown"):
         assert found[mode]["FAULT"] == 0
         assert found[mode]["judged"] > 0.9 * found[mode]["samples"] > 0

@@ -2,8 +2,6 @@
 
 import csv
 import datetime
-import subprocess
-import sys
 
 import numpy as np
 import pandas as pd
@@ -523,26 +521,6 @@ class TestWriting:
         )
         header = "start,end,duration_s,first_sample,last_sample,windows,depth,factor,worst,ended"
         assert (tmp_path / "a.csv").read_text().splitlines() == [header]
-
-
-def test_reading_a_file_does_not_import_pandas(tmp_path):
-    (tmp_path / "d.csv").write_text(text_of([(k / 2, 1, "" if k == 3 else k) for k in range(50)]))
-    code = f"""
-import sys, numpy as np
-from jaxbound import LinearSystem, Status
-from jaxbound.recordings.read import read
-from jaxbound.runs.verdictfiles import write_verdicts
-m = LinearSystem([[0.5]], [[1]], [[1]], dt=0.5)
-r = read({str(tmp_path / "d.csv")!r}, m)
-verdicts = dict(status=np.zeros(50, np.int8), margin=np.full(50, np.nan), departure=None)
-res = type("R", (), verdicts)
-write_verdicts({str(tmp_path / "v.csv")!r}, res, r)
-print("pandas" in sys.modules)
-"""
-    assert (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-        == "False\n"
-    )
 
 
 class NamesAlone:
