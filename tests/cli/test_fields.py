@@ -113,8 +113,13 @@ def test_evaluate_takes_one_test_by_its_name(place, capsys):
 
 
 def test_study_takes_one_test_by_its_name(place, capsys):
-    line = "study plant.toml --faults height:bias --sizes 3 --n 8 --scenario samples=20 --json --out"
-    assert shell(capsys, f"{line} s1 --test jumps")[0] == 0
+    line = "study plant.toml --faults height:bias --sizes 0.2 --n 8 --scenario samples=20 --json --out"
+    seen = {}
+    for name in ("jumps", "slow"):
+        code, out, err = shell(capsys, f"{line} {name} --test {name}")
+        assert code == 0 and not err, err
+        seen[name] = json.loads(out)["cells"][0]["detected"]
+    assert seen["jumps"] > seen["slow"], seen
     code, out, err = shell(capsys, f"{line} s2 --test rain")
     assert code == 2 and err.count("\n") == 1
     assert "plant.toml: there is no test 'rain' in this model: it states 'jumps', 'slow'" in err
@@ -202,7 +207,7 @@ def test_what_is_wrong_is_said_in_a_sentence(line, says, place, capsys):
 
 @pytest.mark.parametrize("field", ["margins=exact", "outside=undecided"])
 def test_a_command_that_claims_no_faults_refuses_fields_of_claims(field, place, capsys):
-    for line in ("study plant.toml --faults height:bias", "tune plant.toml healthy.csv"):
+    for line in ("study plant.toml --faults height:bias --sizes 3 --n 8", "tune plant.toml healthy.csv"):
         code, _, err = shell(capsys, f"{line} --out out --test {field}")
         assert code == 2 and f"{field.partition('=')[0]} is for detect and fleet, leave it out" in err
 
@@ -226,12 +231,12 @@ def alarms(capsys, line):
 
 def test_detect_takes_the_rule_of_the_model_and_the_shell_wins(place, capsys):
     assert alarms(capsys, "detect plant.toml run.csv --out out --json --test horizon=1") == 2
-    (place / "plant.toml").write_text(BARE + '[alarms]\nrule = "2/2"\n')
+    (place / "plant.toml").write_text(BARE + '[alarms]\nrule = "6/6"\n')
     for data in ("run.csv", "run.parquet"):
         line = f"detect plant.toml {data} --out out --json --test horizon=1"
-        counts = [alarms(capsys, f"{line} {rule}") for rule in ("", "--alarm 1/1", "--alarm 6/6")]
-        assert counts == [1, 2, 0]
-        assert alarms(capsys, f"{line} --alarm 1/1,hold=30") == 1, "one field does not take the others away"
+        rules = "", "--alarm 1/1", "--alarm hold=30", "--alarm 1/1,hold=30"
+        counts = [alarms(capsys, f"{line} {rule}") for rule in rules]
+        assert counts == [0, 2, 0, 1], "one field does not take the others away"
 
 
 def test_a_fleet_takes_the_rule_of_each_model(place, capsys):
