@@ -135,6 +135,9 @@ def test_tune_finds_the_factor_of_one_test_and_keeps_the_others(place, capsys):
 def test_info_shows_one_test(place, capsys):
     _, out, _ = shell(capsys, "info plant.toml --test slow")
     assert "test slow" in out and "test jumps" not in out
+    (place / "plant.toml").write_text(BARE + '[alarms]\nrule = "3/5"\nlatch = true\n')
+    assert "rule 3/5, latch True" in shell(capsys, "info plant.toml")[1]
+    assert json.loads(shell(capsys, "info plant.toml --json")[1])["alarms"] == {"rule": "3/5", "latch": True}
 
 
 def test_explain_takes_a_test_that_did_not_speak(place, capsys):
@@ -306,6 +309,15 @@ def test_spellings_of_before_say_in_one_sentence_what_is_typed_now(line, sentenc
     assert shell(capsys, f"{command} plant.toml run.csv --out new --json {method} {now}")[0] == code == 1
     for name in ("verdicts.csv", "alarms.csv"):
         assert (place / "new" / name).read_bytes() == (place / "old" / name).read_bytes()
+
+
+def test_a_test_by_another_file_needs_no_rule_of_alarms_there(place):
+    (place / "winter.toml").write_text(BARE[: BARE.index("[[test]]")].replace("noise = 0.1", "noise = 0.4"))
+    text = BARE + '[[test]]\nname = "winter"\nmodel = "winter.toml"\n[alarms]\nrule = "3/5"\n'
+    (place / "plant.toml").write_text(text)
+    model = jb.load_model("plant.toml")
+    assert dict(model.tests[-1].changes) == {"outputs": [{"name": "height", "noise": "0.4"}]}
+    assert model.alarms == {"rule": "3/5"}
 
 
 def test_method_and_a_rule_of_alarms_are_typed_as_ever(place, capsys):
