@@ -65,6 +65,8 @@ class ModelConclusion(Conclusion):
         yield from _relations_rows(relations)
         for test in model.tests:
             yield f"test {test.name}", _test_text(test)
+        if model.alarms:
+            yield "alarms", ", ".join(f"{name} {value}" for name, value in model.alarms.items())
         distinct = len(distinct_relations(relations))
         if distinct < relations.count:
             yield "", f"the {distinct} below and the same some samples earlier"
@@ -102,6 +104,7 @@ class ModelConclusion(Conclusion):
             "provenance": dict(model.provenance),
             "times": dict(model.times),
             "tests": {test.name: _test_text(test) for test in model.tests},
+            "alarms": dict(model.alarms),
             "relations": relations.text().splitlines(),
             "notes": list(relations.notes),
             "hints": self.hints,

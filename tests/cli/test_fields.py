@@ -113,8 +113,13 @@ def test_evaluate_takes_one_test_by_its_name(place, capsys):
 
 
 def test_study_takes_one_test_by_its_name(place, capsys):
-    line = "study plant.toml --faults height:bias --sizes 3 --n 8 --scenario samples=20 --json --out"
-    assert shell(capsys, f"{line} s1 --test jumps")[0] == 0
+    line = "study plant.toml --faults height:bias --sizes 0.2 --n 8 --scenario samples=20 --json --out"
+    seen = {}
+    for name in ("jumps", "slow"):
+        code, out, err = shell(capsys, f"{line} {name} --test {name}")
+        assert code == 0 and not err, err
+        seen[name] = json.loads(out)["cells"][0]["detected"]
+    assert seen["jumps"] > seen["slow"], seen
     code, out, err = shell(capsys, f"{line} s2 --test rain")
     assert code == 2 and err.count("\n") == 1
     assert "plant.toml: there is no test 'rain' in this model: it states 'jumps', 'slow'" in err
@@ -130,6 +135,9 @@ def test_tune_finds_the_factor_of_one_test_and_keeps_the_others(place, capsys):
 def test_info_shows_one_test(place, capsys):
     _, out, _ = shell(capsys, "info plant.toml --test slow")
     assert "test slow" in out and "test jumps" not in out
+    (place / "plant.toml").write_text(BARE + '[alarms]\nrule = "3/5"\nlatch = true\n')
+    assert "rule 3/5, latch True" in shell(capsys, "info plant.toml")[1]
+    assert json.loads(shell(capsys, "info plant.toml --json")[1])["alarms"] == {"rule": "3/5", "latch": True}
 
 
 def test_explain_takes_a_test_that_did_not_speak(place, capsys):
@@ -202,7 +210,7 @@ def test_what_is_wrong_is_said_in_a_sentence(line, says, place, capsys):
 
 @pytest.mark.parametrize("field", ["margins=exact", "outside=undecided"])
 def test_a_command_that_claims_no_faults_refuses_fields_of_claims(field, place, capsys):
-    for line in ("study plant.toml --faults height:bias", "tune plant.toml healthy.csv"):
+    for line in ("study plant.toml --faults height:bias --sizes 3 --n 8", "tune plant.toml healthy.csv"):
         code, _, err = shell(capsys, f"{line} --out out --test {field}")
         assert code == 2 and f"{field.partition('=')[0]} is for detect and fleet, leave it out" in err
 
@@ -226,12 +234,12 @@ def alarms(capsys, line):
 
 def test_detect_takes_the_rule_of_the_model_and_the_shell_wins(place, capsys):
     assert alarms(capsys, "detect plant.toml run.csv --out out --json --test horizon=1") == 2
-    (place / "plant.toml").write_text(BARE + '[alarms]\nrule = "2/2"\n')
+    (place / "plant.toml").write_text(BARE + '[alarms]\nrule = "6/6"\n')
     for data in ("run.csv", "run.parquet"):
         line = f"detect plant.toml {data} --out out --json --test horizon=1"
-        counts = [alarms(capsys, f"{line} {rule}") for rule in ("", "--alarm 1/1", "--alarm 6/6")]
-        assert counts == [1, 2, 0]
-        assert alarms(capsys, f"{line} --alarm 1/1,hold=30") == 1, "one field does not take the others away"
+        rules = "", "--alarm 1/1", "--alarm hold=30", "--alarm 1/1,hold=30"
+        counts = [alarms(capsys, f"{line} {rule}") for rule in rules]
+        assert counts == [0, 2, 0, 1], "one field does not take the others away"
 
 
 def test_a_fleet_takes_the_rule_of_each_model(place, capsys):
@@ -301,6 +309,15 @@ def test_spellings_of_before_say_in_one_sentence_what_is_typed_now(line, sentenc
     assert shell(capsys, f"{command} plant.toml run.csv --out new --json {method} {now}")[0] == code == 1
     for name in ("verdicts.csv", "alarms.csv"):
         assert (place / "new" / name).read_bytes() == (place / "old" / name).read_bytes()
+
+
+def test_a_test_by_another_file_needs_no_rule_of_alarms_there(place):
+    (place / "winter.toml").write_text(BARE[: BARE.index("[[test]]")].replace("noise = 0.1", "noise = 0.4"))
+    text = BARE + '[[test]]\nname = "winter"\nmodel = "winter.toml"\n[alarms]\nrule = "3/5"\n'
+    (place / "plant.toml").write_text(text)
+    model = jb.load_model("plant.toml")
+    assert dict(model.tests[-1].changes) == {"outputs": [{"name": "height", "noise": "0.4"}]}
+    assert model.alarms == {"rule": "3/5"}
 
 
 def test_method_and_a_rule_of_alarms_are_typed_as_ever(place, capsys):
