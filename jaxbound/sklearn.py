@@ -89,7 +89,7 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
         tags.input_tags.allow_nan = True
         return tags
 
-    def fit(self, X: Any, y: Any = None) -> "Detector":
+    def fit(self, X: object, y: object = None) -> "Detector":
         """Find a model and bounds of healthy rows X (T, columns), or check that a given model fits them. y is
         ignored.
 
@@ -130,7 +130,7 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
         self.offset_ = 0.0
         return self
 
-    def detect(self, X: Any, margins: str = "auto") -> Result:
+    def detect(self, X: object, margins: str = "auto") -> Result:
         """Return the Result of `jaxbound.detect` for rows X (T, columns), with certificates and alarms.
 
         Args:
@@ -143,7 +143,7 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
         u, y = (rows[:, places] for places in self._places)
         return detect(self.relations_, u, y, method=self.method, margins=margins)
 
-    def decision_function(self, X: Any) -> np.ndarray:
+    def decision_function(self, X: object) -> np.ndarray:
         """Return (T,) scores: below 0 exactly where a fault is proved, then the margin; else the margin, 0
         where there is none.
         """
@@ -151,11 +151,11 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
         fault, margin = res.status == Status.FAULT, np.nan_to_num(np.asarray(res.margin, np.float64), nan=0.0)
         return np.where(fault, np.minimum(margin, -np.finfo(np.float64).tiny), np.maximum(margin, 0.0))
 
-    def score_samples(self, X: Any) -> np.ndarray:
+    def score_samples(self, X: object) -> np.ndarray:
         """Return (T,) scores, the lower the less normal: those of decision_function."""
         return self.decision_function(X) + self.offset_
 
-    def predict(self, X: Any) -> np.ndarray:
+    def predict(self, X: object) -> np.ndarray:
         """Return (T,) int: -1 where a fault is proved, else 1."""
         return np.where(self.detect(X).status == Status.FAULT, -1, 1)
 

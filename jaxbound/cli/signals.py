@@ -70,7 +70,7 @@ def _waking() -> Iterator[int | None]:
         os.close(waker)
 
 
-def arrivals(raw: Any, end: Ends) -> Iterator[Any]:
+def arrivals(raw: int | Iterable[Any], end: Ends) -> Iterator[Any]:
     """Yield bytes or items as soon as some come; None, at the end, if a signal ended it.
 
     Args:

@@ -28,7 +28,7 @@ from jaxbound.consistency.polynomial_reading import PolynomialReading, Polynomia
 from jaxbound.consistency.reading import Block, gather
 from jaxbound.sets.floats.kernel import kernel, outside_xla
 from jaxbound.sets.floats.status import Status
-from jaxbound.sets.paving.frontier import Verdicts, explore, judged_in_blocks
+from jaxbound.sets.paving.frontier import Boxes, Verdicts, explore, judged_in_blocks
 from jaxbound.sets.strips import polynomials, varying
 
 BLOCK = 2**11
@@ -301,7 +301,7 @@ def bisected(
         return Verdicts(~(margin < 0) & ~found, found, (start, start), None, axis)
 
     # of one box a window the first level is the last: what is cut behind it nobody looks at
-    *_, cover = explore(judge, -one, one, count, 200, budget, first=True)
+    *_, cover = explore(judge, Boxes.repeated(-one, one, count), 200, budget, first=True)
     margin, points = levels[0]
     points[:, cover.proofs.owner] = cover.proofs.lo
     every = Leaves(*(np.concatenate(x, -1) for x in zip(*leaves, strict=True)))

@@ -51,9 +51,10 @@ def _whole(kernel: Smooth, reading: Reading, u: jax.Array, y: jax.Array, gone: n
     """Return the margins (..., T) of recordings u (..., T, m), y (..., T, p), NaN where `gone` (T,): one
     program, none op by op.
     """
-    shape = y.shape[:-1]
-    ends = (x.reshape(math.prod(shape), x.shape[-1]) for x in (u, y))
-    margin = jnp.pad(kernel(reading, *ends), (reading.horizon, 0)).reshape(shape)
+    # laid end to end: -1 in place of the count would not do without inputs
+    count = math.prod(y.shape[:-1])
+    margin = kernel(reading, u.reshape(count, u.shape[-1]), y.reshape(count, y.shape[-1]))
+    margin = jnp.pad(margin, (reading.horizon, 0)).reshape(y.shape[:-1])
     return jnp.where(gone.reshape((1,) * (y.ndim - 2) + gone.shape), jnp.nan, margin)
 
 

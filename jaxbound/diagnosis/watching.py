@@ -9,7 +9,7 @@ from jaxbound.consistency.interface import Relations
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.alarms import Alarm, ending_of, forgets_after
-from jaxbound.diagnosis.causes import Verdicts
+from jaxbound.diagnosis.causes import Explained, Verdicts
 from jaxbound.diagnosis.severity import Severity
 from jaxbound.diagnosis.suspects import UNKNOWN, Suspect, nameless, suspect_of_window
 from jaxbound.diagnosis.watch import NUMBER, Raised, Seen, Watch
@@ -62,7 +62,11 @@ class Watching:
         return self.u[first:stop], self.y[first:stop]
 
     def whole(
-        self, verdicts: Verdicts, instants: np.ndarray | None, result: Any, recording: tuple[int, ...] = ()
+        self,
+        verdicts: Verdicts,
+        instants: np.ndarray | None,
+        result: Explained | None,
+        recording: tuple[int, ...] = (),
     ) -> list[Alarm]:
         """Return the alarms of a recording that comes as one, in order of time. instants: as for `follow`;
         result, recording: see `Alarm`.
@@ -84,7 +88,7 @@ class Watching:
         return self.watch.add(seen)
 
     def alarms_of(
-        self, over: Sequence[Raised], recording: tuple[int, ...] = (), result: Any = None
+        self, over: Sequence[Raised], recording: tuple[int, ...] = (), result: Explained | None = None
     ) -> list[Alarm]:
         """Return the Alarms of those that are over. recording, result: see `Alarm`."""
         alarms = []

@@ -14,7 +14,7 @@ import numpy as np
 from jaxbound.consistency.parameter_boxes import ParameterBoxes
 from jaxbound.consistency.parametric_windows import Leaves
 from jaxbound.consistency.twice import warn_doubtful
-from jaxbound.sets.paving.frontier import Verdicts, explore
+from jaxbound.sets.paving.frontier import Boxes, Verdicts, explore
 from jaxbound.text.progress import Progress
 
 FOUND, ENDED, STOPPED = "found", "budget ended", "interrupted"
@@ -64,7 +64,7 @@ class Search:
         """
         test = self.test
         try:
-            for cover in explore(self.judge, test.lo, test.hi, 1, 2**30, budget):
+            for cover in explore(self.judge, Boxes.repeated(test.lo, test.hi, 1), 2**30, budget):
                 boxes, self.evaluated = cover.boxes, int(cover.evaluated[0])
                 progress(min(1.0, self.evaluated / budget))
             if test.count > LOOKED and len(boxes.owner):

@@ -119,6 +119,16 @@ class Found(NamedTuple):
     outputs: Array
 
 
+class _OutputStrip(NamedTuple):
+    """The strip of an output, |e - C (x - c)| <= s where it is tested, and the place of its generator."""
+
+    output: jax.Array
+    place: jax.Array
+    e: jax.Array
+    s: jax.Array
+    tested: jax.Array
+
+
 class _Shown(NamedTuple):
     """One output of a set.
 
@@ -249,7 +259,7 @@ def _sample(
         for far, bound in ((e, shown.reach + s), (_row(outputs.mid, i) - alone.value, alone.reach + s)):
             ratio = jnp.where(tested, jnp.maximum(ratio, jnp.abs(far) / bound), ratio)
             wrong |= tested & (jnp.abs(far) > g.up * bound)
-        return _met(plant, g, carry.weight, sets, shown, (e, s, tested), i, q), ratio, wrong
+        return _met(plant, g, carry.weight, sets, shown, _OutputStrip(i, q + i, e, s, tested)), ratio, wrong
 
     begin = Sets(*prior, before.size), jnp.zeros(N, dtype), now.refuted
     after, ratio, wrong = jax.lax.fori_loop(0, p, meet, begin)
@@ -342,28 +352,22 @@ def _met(
     weight: Array,
     sets: Sets,
     shown: _Shown,
-    strip: tuple[jax.Array, jax.Array, jax.Array],
-    i: jax.Array,
-    q: int,
+    strip: _OutputStrip,
 ) -> Sets:
-    """Return sets met with the strip of output i.
-
-    Args:
-        strip: (e, s, tested): |e - C (x - c)| <= s where it is tested. q: the column of the first output.
-    """
-    e, s, tested = strip
+    """Return sets met with the strip of an output."""
+    e, s, tested, place = strip.e, strip.s, strip.tested, strip.place
     P = shown.P
     L = jnp.sum(sets.G * P[None], 1) / (jnp.sum(P * P, 0) + weight * s * s + g.least)[None]
     # one number for all its uses: then any will do
     L = stored(jnp.where(tested[None] & (jnp.abs(L) < g.steepest), L, 0))
     far = jnp.abs(L)
-    added = summed(_size_times, _row(plant.C, i), sets.r) + shown.slack + g.gamma * shown.whole
+    added = summed(_size_times, _row(plant.C, strip.output), sets.r) + shown.slack + g.gamma * shown.whole
     r = g.up * (sets.r + far * added[None] + g.gamma * sets.size) + g.least
     G = sets.G - L[:, None] * P[None]
     column = L * s[None]
     if plant.free is not None:  # of an output that is used up already: its error, L being 0
-        column = column + jax.lax.dynamic_index_in_dim(G, q + i, 1, keepdims=False)
-    G = jax.lax.dynamic_update_index_in_dim(G, column, q + i, 1)
+        column = column + jax.lax.dynamic_index_in_dim(G, place, 1, keepdims=False)
+    G = jax.lax.dynamic_update_index_in_dim(G, column, place, 1)
     c = sets.c + L * e[None]
     # what is summed may be rounded otherwise than what is kept, by less than r
     return Sets(c, G, r, _sized(g, c, G, 2 * r).size)

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from jaxbound.certificates.interface import WindowCertificate
-from jaxbound.consistency.interface import BOUNDS
+from jaxbound.consistency.interface import BOUNDS, Relations
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.observed import ObserverResult, shown_name
@@ -223,7 +223,7 @@ def _sensor_errors(certificate: Any) -> str:
 
 
 @singledispatch
-def about(relations: Any) -> tuple[str, dict[str, object]]:
+def about(relations: Relations) -> tuple[str, dict[str, object]]:
     """Return (template of a page, values that describe relations: their number and text, how they are
     tested).
     """

@@ -14,7 +14,6 @@ import numpy as np
 from jaxbound.consistency.interface import Relations
 from jaxbound.plots.canvas import PANELS, bins, inside
 from jaxbound.recordings.factors import known
-from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stillness import Run, Runs, follow_runs, joined_runs
 from jaxbound.runs.counts import CountsByTest
 
@@ -25,11 +24,11 @@ class Noted:
     """The notes on signals of one recording.
 
     Args:
-        samples: how many it has. model: with m inputs and p outputs.
+        samples: how many it has. relations: that are tested.
     """
 
-    def __init__(self, samples: int, model: SignalModel) -> None:
-        self.edges = bins(samples)
+    def __init__(self, samples: int, relations: Relations) -> None:
+        self.edges, self.relations, model = bins(samples), relations, relations.model
         columns = len(known(model))
         outputs, inputs = range(columns, columns + model.p), range(model.m)
         self.shown = [*outputs, *inputs][:PANELS]  # in the order of a page

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol, cast
 
 import numpy as np
 
-from jaxbound.consistency.interface import Judged, Relations
+from jaxbound.consistency.interface import Judged
 from jaxbound.consistency.searched import judging_device
 from jaxbound.files.checkpoint import refuse_other
 from jaxbound.files.whole import UNFINISHED, whole
@@ -53,9 +53,9 @@ class Parts(Quiet):
 
     Args:
         folder: of the parts. notes: {number of each part, in order: its identity}. size: of a part, in
-            samples. end: of the samples of the stretch. about: the signals of the recording. judge: of the
-            samples; verdicts of one that carries something end where a part does.
-        bank: of which each test is counted; None: other relations judge.
+            samples. end: of the samples of the stretch. about: the signals of the recording, and what is
+            tested: of a monitor each test is counted. judge: of the samples; verdicts of one that carries
+            something end where a part does.
     """
 
     def __init__(
@@ -66,15 +66,14 @@ class Parts(Quiet):
         end: int,
         about: Noted,
         judge: Carrier,
-        bank: Relations | None = None,
     ) -> None:
         self.folder, self.notes, self.size, self.end = folder, notes, size, end
         self.done, self.about, self.judge = min(notes) * size, about, judge
         self.tables: list[pa.Table] = []  # samples that wait for their part, and their signals (n, k)
         self.signals: list[np.ndarray] = []
-        self.bank, self.counted = bank, None
-        if bank is not None:
-            self.counted = CountsByTest(bank)
+        self.counted: CountsByTest | None = None
+        if about.relations.parts:
+            self.counted = CountsByTest(about.relations)
 
     def add(self, piece: Recording, verdicts: Verdicts) -> None:
         """Take the next samples; write the parts that they complete, and at the end the part that is left."""
@@ -116,9 +115,9 @@ class Parts(Quiet):
         carry = self.judge.memory()
         if carry is not None:
             about[CARRY] = json.dumps(carry)
-        if self.bank is not None and self.counted is not None:
+        if self.counted is not None:
             about[TESTS] = json.dumps(self.counted.memory())
-            self.counted = CountsByTest(self.bank)
+            self.counted = CountsByTest(self.about.relations)
         if device := judging_device(self.judge.remembers):
             about[DEVICE] = device
         return about

@@ -268,10 +268,8 @@ class _Judging:
         notes = {i: self.note(i) for i in parts}
         laps = Laps(seconds)
         judge = self._judge(parts.start, laps)
-        relations = self.asked.relations
-        about = Noted(self.source.samples, relations.model)
-        bank = relations if relations.parts else None
-        sink = Parts(self.folder, notes, self.size, end, about, judge, bank)
+        about = Noted(self.source.samples, self.asked.relations)
+        sink = Parts(self.folder, notes, self.size, end, about, judge)
         pieces = self.source.pieces(self.asked.chunk, judge.overlap, max(first - judge.begins, 0), end)
         report(first)
         for at, piece in follow(pieces, judge, [sink], laps=laps):

@@ -70,7 +70,7 @@ def _whole_text(thing: object, plain: Callable[[object], str]) -> str:
     return text
 
 
-def _first_line(thing: Any) -> str:
+def _first_line(thing: object) -> str:
     """Return the first line: the object's own, or its type and the shape of its first array."""
     if hasattr(thing, "_head"):
         return _clipped(thing._head(), HEAD)
@@ -81,7 +81,7 @@ def _first_line(thing: Any) -> str:
     return _clipped(name, HEAD)
 
 
-def _further_lines(thing: Any) -> Rows:
+def _further_lines(thing: object) -> Rows:
     """Return (label, text) of the rows below the first line."""
     if hasattr(thing, "_rows"):
         rows = thing._rows()
@@ -99,7 +99,7 @@ def _table_row(row: tuple[str, str]) -> str:
     return f'<tr><th scope="row">{label}</th><td>{text}</td></tr>'
 
 
-def _visible_fields(thing: Any) -> Mapping[str, Any]:
+def _visible_fields(thing: object) -> Mapping[str, Any]:
     """Return {name: value} of an object's visible fields."""
     if dataclasses.is_dataclass(thing):
         return {f.name: getattr(thing, f.name) for f in dataclasses.fields(thing) if f.repr}
@@ -127,7 +127,7 @@ def _lead(value: object) -> Any:
     return 0
 
 
-def _count(value: Any) -> int:
+def _count(value: object) -> int:
     """Return the number of numbers in a value, or more than a few."""
     if hasattr(value, "shape"):
         return int(np.prod(value.shape, dtype=np.int64))
@@ -168,7 +168,7 @@ def _in_few_words(value: Any) -> str:
     return repr(value)
 
 
-def _short_array(value: Any) -> str:
+def _short_array(value: np.ndarray) -> str:
     if not 0 < np.size(value) <= FEW or _is_abstract(value):
         return f"{value.dtype} {tuple(value.shape)}"
     return " ".join(map(_short_number, np.asarray(value).ravel().tolist()))
@@ -187,7 +187,7 @@ def _short_mapping(value: Mapping[Any, Any]) -> str:
     return ", ".join(items)
 
 
-def _is_abstract(value: Any) -> bool:
+def _is_abstract(value: np.ndarray) -> bool:
     """Return whether an array has no numbers yet: inside jit or vmap."""
     try:
         np.asarray(value)

@@ -300,7 +300,7 @@ def _unpacked(data: bytes) -> tuple[Job, dict[str, str], bool]:
     return job, kind, wide
 
 
-def _attempt(packed: bytes, task: Any) -> tuple[Exception | None, Any]:
+def _attempt(packed: bytes, task: object) -> tuple[Exception | None, Any]:
     """Return (the refusal of a task or None, its result): data that are wrong are as wrong at the next
     attempt.
     """

@@ -204,7 +204,7 @@ COMPUTED["argmax"] = _place(np.argmax)
 COMPUTED["argmin"] = _place(np.argmin)
 
 
-def _reduction(function: Any) -> Callable[[dict], Function]:
+def _reduction(function: np.ufunc) -> Callable[[dict], Function]:
     def make(params):
         axes = tuple(params["axes"])
         return lambda x: function.reduce(x, axis=axes, dtype=x.dtype)
@@ -212,7 +212,7 @@ def _reduction(function: Any) -> Callable[[dict], Function]:
     return make
 
 
-def _extreme(function: Any, end: str) -> Callable[[dict], Function]:
+def _extreme(function: np.ufunc, end: str) -> Callable[[dict], Function]:
     def make(params):
         axes = tuple(params["axes"])
 
@@ -241,7 +241,7 @@ COMPUTED["reduce_max"] = _extreme(np.maximum, "min")
 COMPUTED["reduce_min"] = _extreme(np.minimum, "max")
 
 
-def _running(function: Any) -> Callable[[dict], Function]:
+def _running(function: np.ufunc) -> Callable[[dict], Function]:
     def make(params):
         axis = params["axis"]
         if params["reverse"]:

@@ -18,7 +18,6 @@ import os
 import threading
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -165,7 +164,7 @@ def refuse_other_modes() -> None:
         )
 
 
-def default_device() -> Any:
+def default_device() -> jax.Device | str | None:
     """Return the device that `jax.default_device` chose, perhaps by its name, or None."""
     return jax.config.jax_default_device  # type: ignore[attr-defined]  # made at run time
 

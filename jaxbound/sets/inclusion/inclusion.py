@@ -90,7 +90,7 @@ class Inclusion:
     f: Callable[..., Any]
     method: str
 
-    def __call__(self, *args: Any, **options: Any) -> Any:
+    def __call__(self, *args: object, **options: object) -> Any:
         """Return the enclosure: f's own structure with an Interval for each float array.
 
         Raises:
@@ -99,7 +99,7 @@ class Inclusion:
         """
         return _run(_enclose, self, args, options)
 
-    def continuous(self, *args: Any, **options: Any) -> jax.Array:
+    def continuous(self, *args: object, **options: object) -> jax.Array:
         """Return a boolean array (): True where f is proved to be defined and continuous all over the box.
 
         Raises:
@@ -107,7 +107,7 @@ class Inclusion:
         """
         return _run(_continuous, self, args, options)
 
-    def jacobian(self, *args: Any, **options: Any) -> Interval:
+    def jacobian(self, *args: object, **options: object) -> Interval:
         """Return an Interval (m, n) that holds the derivatives of all m float outputs by all n numbers of the
         Interval arguments.
 

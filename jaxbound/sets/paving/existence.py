@@ -16,7 +16,7 @@ Source: Krawczyk 1969 (the operator); Neumaier 1990, Interval methods for system
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -61,13 +61,39 @@ def _flat(f: Callable[..., Any], args: tuple[jax.Array, ...]) -> Inclusion:
     return inclusion(lambda z: jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(f(z, *args))]))
 
 
+class _Image(NamedTuple):
+    """The image of a box, and whether f is proved to be defined and continuous there."""
+
+    box: Interval
+    smooth: jax.Array
+
+
+class _Left(NamedTuple):
+    """Whether a box is excluded, what is left of it, a guess x at a solution; P: near its inverse slope."""
+
+    out: jax.Array
+    rest: Interval
+    x: jax.Array
+    P: jax.Array
+
+
+class _Near(NamedTuple):
+    """|f(x) - t|, r, the box Z around x, the box over which slopes have to be close.
+
+    r is in proportion to how far f moves over X, component by component, and twice the largest miss.
+    """
+
+    miss: jax.Array
+    r: jax.Array
+    Z: Interval
+    wide: Interval
+
+
 @forgets
 @kernel(static_argnums=0)
-def imaged(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> tuple[Interval, jax.Array]:
-    """Return the images (m, N) of boxes (n, N), and all over which f is proved to be defined and continuous
-    (N,); args (..., N).
-    """
-    one = lambda X, *a: (_flat(f, a)(X), _flat(f, a).continuous(X))
+def imaged(f: Callable[..., Any], X: Interval, args: tuple[jax.Array, ...]) -> _Image:
+    """Return the images (m, N) of boxes (n, N), with smooth (N,)."""
+    one = lambda X, *a: _Image(_flat(f, a)(X), _flat(f, a).continuous(X))
     return jax.vmap(one, in_axes=-1, out_axes=-1)(X, *args)
 
 
@@ -102,20 +128,18 @@ def search(
     f and its slope are compiled once each; what depends on f only through them, for all functions of one
     shape.
     """
-    whole, smooth = imaged(f, X, args)
-    if T.shape != whole.shape:
-        raise ValueError(f"the target has {T.shape[0]} components, f has {whole.shape[0]}")
+    image = imaged(f, X, args)
+    if T.shape != image.box.shape:
+        raise ValueError(f"the target has {T.shape[0]} components, f has {image.box.shape[0]}")
     centre = _middle(X)
-    value, _ = imaged(f, _point(centre), args)
-    slope = _slope(f, X, args)
-    out, rest, x, P = _narrow(domain, X, T, whole, smooth, centre, value, slope)
-    reached, defined = imaged(f, _point(x), args)
-    miss, r, Z, wide = _around(unique, region, X, T, slope, x, P, reached, rest)
-    near = _slope(f, wide, args)
-    return _conclude(region, domain, T, out, rest, slope, x, P, reached, defined, miss, r, Z, near)
+    value, slope = imaged(f, _point(centre), args).box, _slope(f, X, args)
+    left = _narrow(domain, X, T, image, centre, value, slope)
+    reached = imaged(f, _point(left.x), args)
+    around = _around(unique, region, X, T, slope, left, reached.box)
+    return _conclude(region, domain, T, slope, left, reached, around, _slope(f, around.wide, args))
 
 
-def _over_boxes(one: Callable[..., Any], *given: Any) -> Any:
+def _over_boxes(one: Callable[..., Any], *given: object) -> Any:
     """Return one(..) of each column, with the boxes first while it works: one layout for all, and half of
     what compiles is transposing.
     """
@@ -124,17 +148,16 @@ def _over_boxes(one: Callable[..., Any], *given: Any) -> Any:
 
 
 @kernel
-def _narrow(domain: Interval, *given: object) -> tuple[jax.Array, Interval, jax.Array, jax.Array]:
-    """Return (excluded, what is left of X, a guess x at a solution, P)."""
+def _narrow(domain: Interval, *given: object) -> _Left:
     return _over_boxes(partial(_narrowed, domain), *given)
 
 
-def _narrowed(domain, X, T, image, smooth, centre, value, slope):
+def _narrowed(domain, X, T, image, centre, value, slope):
+    smooth = image.smooth
     d, J = rad(X), mid(slope)
     reach = _upper(mag(slope), d)
-    out = _apart(image, T) | smooth & _apart(
-        value + Interval(-reach, reach), T
-    )  # the second by the mean value theorem
+    # the second by the mean value theorem
+    out = _apart(image.box, T) | smooth & _apart(value + Interval(-reach, reach), T)
     P = _right_inverse(J, d)
     step, error = _times(P, mid(T - value))
     strays = _upper(_stray(P, J, jnp.abs(P), rad(slope)), d) + _upper(jnp.abs(P), rad(T - value)) + error
@@ -147,50 +170,43 @@ def _narrowed(domain, X, T, image, smooth, centre, value, slope):
     usable &= ~out
     rest = Interval(jnp.where(usable, lo, X.lo), jnp.where(usable, hi, X.hi))
     x = centre + P @ (mid(T) - mid(value))
-    return out, rest, jnp.where(jnp.isnan(x), centre, jnp.clip(x, domain.lo, domain.hi)), P
+    return _Left(out, rest, jnp.where(jnp.isnan(x), centre, jnp.clip(x, domain.lo, domain.hi)), P)
 
 
 @kernel(static_argnums=(0, 1))
-def _around(unique: bool, region: bool, *given: object) -> tuple[jax.Array, jax.Array, Interval, Interval]:
-    """Return (|f(x) - t|, r, the box Z around x, the box over which slopes have to be close).
-
-    r is in proportion to how far f moves over X, component by component, and twice the largest miss.
-    """
-
-    def one(X, T, slope, x, P, reached, rest):
+def _around(unique: bool, region: bool, *given: object) -> _Near:
+    def one(X, T, slope, left, reached):
+        x, P = left.x, left.P
         miss = mag(reached - (_point(mid(T)) if region else T))
         moves = jnp.abs(mid(slope)) @ (X.hi * 0.5 - X.lo * 0.5)
         usable = jnp.isfinite(moves) & (moves > 0)
         share = jnp.max(jnp.where(usable, miss / jnp.where(usable, moves, 1), 0))
         r = miss + jnp.where(usable, share * moves, miss) + 1024 * rounding.tiny(miss.dtype)
         reach = _upper(jnp.abs(P), r)
-        Z, fixed = (
-            _point(x) + Interval(-reach, reach),
-            jnp.all(P == 0, 1),
-        )  # rows of zeros move nothing, exactly
+        Z, fixed = _point(x) + Interval(-reach, reach), jnp.all(P == 0, 1)  # zeros move nothing, exactly
         Z = Interval(jnp.where(fixed, x, Z.lo), jnp.where(fixed, x, Z.hi))
-        return miss, r, Z, hull(Z, rest) if unique else Z
+        return _Near(miss, r, Z, hull(Z, left.rest) if unique else Z)
 
     return _over_boxes(one, *given)
 
 
 @kernel(static_argnums=0)
 def _conclude(region: bool, domain: Interval, *given: object) -> Verdicts[jax.Array]:
-    def one(T, out, rest, slope, x, P, reached, defined, miss, r, Z, near):
+    def one(T, slope, left, reached, around, near):
+        rest, P, r, Z = left.rest, left.P, around.r, around.Z
         n, m = P.shape
         J = mid(near)
         bend = _stray(J, P, rad(near), jnp.abs(P))
-        into = (
-            _upward(miss + _upper(bend, r)) < r
-        )  # strictly: then near P is regular, which makes the solution unique
+        # strictly: then near P is regular, which makes the solution unique
+        into = _upward(around.miss + _upper(bend, r)) < r
         holds = (n >= m) & jnp.all(into) & jnp.all(subset(Z, domain))
-        inside = region & jnp.all(subset(reached, T) & ~reached.is_empty) & defined
-        proved = ~out & (inside | holds)
-        proof = jnp.where(inside, x, Z.lo), jnp.where(inside, x, Z.hi)
+        inside = region & jnp.all(subset(reached.box, T) & ~reached.box.is_empty) & reached.smooth
+        proved = ~left.out & (inside | holds)
+        proof = jnp.where(inside, left.x, Z.lo), jnp.where(inside, left.x, Z.hi)
         lean = jnp.max(mag(slope), 0) * wid(rest)  # smear: the variable that moves f most
         whole = jnp.where(domain.hi > domain.lo, domain.hi * 0.5 - domain.lo * 0.5, 1)
         axis = jnp.argmax(jnp.where(jnp.all(jnp.isfinite(lean)), lean, wid(rest) / whole))
-        return Verdicts(~out & ~proved, proved, proof, (rest.lo, rest.hi), axis)
+        return Verdicts(~left.out & ~proved, proved, proof, (rest.lo, rest.hi), axis)
 
     return _over_boxes(one, *given)
 

@@ -27,6 +27,12 @@ class Boxes(NamedTuple):
     hi: np.ndarray
     owner: np.ndarray
 
+    @classmethod
+    def repeated(cls, lo: np.ndarray, hi: np.ndarray, count: int) -> "Boxes":
+        """Return one box (n,) for each of `count` targets."""
+        owner = np.arange(count, dtype=np.int32)
+        return cls(np.repeat(lo[:, None], count, 1), np.repeat(hi[:, None], count, 1), owner)
+
     def chosen(self, which: np.ndarray) -> "Boxes":
         """Return some of them."""
         return Boxes(*(x[..., which] for x in self))
@@ -75,9 +81,7 @@ class Cover(NamedTuple):
 
 def explore(
     judge: Callable[[np.ndarray, np.ndarray, np.ndarray], Verdicts[np.ndarray]],
-    lo: np.ndarray,
-    hi: np.ndarray,
-    count: int,
+    now: Boxes,
     depth: int,
     max_boxes: int,
     axis: str = "kernel",
@@ -88,15 +92,14 @@ def explore(
 
     Args:
         judge: of (lo, hi, owner) of a level.
-        lo, hi: the first box (n,), the same for all `count` targets.
+        now: the first box of each target.
         depth, max_boxes: no more levels than this; a target is left as it is before a level that would bring
             its boxes evaluated above.
         axis: "alternate", "widest" (the first if equal) or "kernel": where boxes are cut. But for
             "alternate", one too narrow to be cut in floats stays as it is.
         first: drop all boxes of a target once one solution is proved.
     """
-    first_lo, first_hi = (np.repeat(x[:, None], count, 1) for x in (lo, hi))
-    now = Boxes(first_lo, first_hi, np.arange(count, dtype=np.int32))
+    count = len(now.owner)
     aside = proofs = now.chosen(np.zeros(count, bool))
     evaluated, solved, level = np.zeros(count, np.int64), np.zeros(count, bool), 0
     while True:
@@ -118,7 +121,7 @@ def explore(
         if verdicts.rest is not None:
             now = Boxes(*verdicts.rest, now.owner)
         now = now.chosen(verdicts.keep)
-        along = np.full(len(now.owner), level % len(lo))
+        along = np.full(len(now.owner), level % len(now.lo))
         if axis != "alternate":
             along = np.argmax(now.hi - now.lo, 0)
             if verdicts.axis is not None:

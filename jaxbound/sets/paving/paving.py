@@ -218,7 +218,7 @@ def pave(
             return Verdicts(*judged_in_blocks(kernel, lo, hi, owner, size))
 
         axis = "kernel" if cut == "smear" else cut
-        for cover in explore(judge, lo, hi, count, depth, most, axis, solutions == "one"):
+        for cover in explore(judge, Boxes.repeated(lo, hi, count), depth, most, axis, solutions == "one"):
             if cover.levels:
                 report(cover.levels / depth)
         if solutions != "none" and not inner and len(cover.proofs.owner):

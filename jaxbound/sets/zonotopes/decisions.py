@@ -94,7 +94,7 @@ class Decision:
             )
         return bool(self.yes)
 
-    def certificate(self, at: Any = ()) -> dict[str, Any]:
+    def certificate(self, at: int | tuple[int, ...] = ()) -> dict[str, Any]:
         """Return the proof of one answer, ready for JSON: all its numbers as exact text, to be checked by
         fractions alone.
 

@@ -101,7 +101,7 @@ def numbers(*sets: AnySet, points: ArrayLike | None = None) -> list[Parts]:
     return jax.tree.unflatten(tree, settled(*(rounding.widened(normal(x), dtype) for x in leaves)))
 
 
-def normal(x: Any) -> jax.Array:
+def normal(x: ArrayLike) -> jax.Array:
     """Return x with NaN for numbers below the smallest normal one, of which nothing is decided inside jit: it
     would read them as 0.
     """

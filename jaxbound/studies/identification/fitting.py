@@ -108,7 +108,8 @@ def fit(
         pool = products(begin_with, columns)
         refuse_unnamed(recordings, pool)
         inputs = (*begin_with, *pool)
-    training = Training.of(recordings, inputs, outputs, dt, columns | pool, units, name)
+    training = Training.of(recordings, inputs, outputs, dt, columns | pool)
+    training = dataclasses.replace(training, units=units, name=name)
     signals: tuple[TriedSignals, ...] = ()
     if plan.signals is not None:
         step = partial(in_part, report, 0.0, 0.4)

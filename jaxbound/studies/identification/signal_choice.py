@@ -179,7 +179,9 @@ def chosen_signals(
     best = begin._replace(taken=True)
     every_try = [best]
     for number in range(ROUNDS):
-        changes = {f"without {name}": _without(best.inputs, name) for name in _droppable(best.inputs)}
+        changes = {
+            f"without {name}": tuple(x for x in best.inputs if x != name) for name in _droppable(best.inputs)
+        }
         changes |= {f"with {name}": (*best.inputs, name) for name in problem.asked(best.inputs)}
         tries = []
         for tried_so_far, (change, names) in enumerate(changes.items()):
@@ -201,7 +203,3 @@ def _droppable(inputs: Sequence[str]) -> Sequence[str]:
     if len(inputs) < 2:
         return ()
     return inputs
-
-
-def _without(inputs: Sequence[str], name: str) -> tuple[str, ...]:
-    return tuple(x for x in inputs if x != name)

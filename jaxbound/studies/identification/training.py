@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -26,8 +26,8 @@ class Training:
     dt: float
     records: Records
     columns: Mapping[str, str]
-    units: Mapping[str, str]
-    name: str
+    units: Mapping[str, str] = field(default_factory=dict)
+    name: str = "fitted"
 
     @classmethod
     def of(
@@ -37,15 +37,13 @@ class Training:
         outputs: str | Sequence[str] | None,
         dt: float | None,
         columns: Mapping[str, str],
-        units: Mapping[str, str],
-        name: str,
     ) -> "Training":
         """Return the Training that reads recordings by these signals."""
         every, records = read_each(recordings, inputs, outputs, columns, dt), []
         for one in every:
             records.append((np.asarray(one.u, np.float64), np.asarray(one.y, np.float64), one.starts))
         names = every[0].inputs, every[0].outputs
-        return cls(recordings, *names, common_period(dt, every), records, columns, units, name)
+        return cls(recordings, *names, common_period(dt, every), records, columns)
 
     def with_inputs(self, inputs: Sequence[str]) -> "Training":
         """Return the training with some of its inputs."""

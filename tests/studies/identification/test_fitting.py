@@ -529,7 +529,7 @@ def test_bounds_that_never_hold_are_refused(rng):
     for name in ("noise", "resolution", "provenance", "averages", "disturbance"):
         spec.pop(name, None)
     trial = Trial(Candidate("least squares", spec, np.array([0.1])), np.array([0.1]), (), 0.0)
-    training = Training.of((u, y), None, None, None, {}, {}, "plant")
+    training = Training.of((u, y), None, None, None, {})
     with pytest.raises(ValueError, match="no bounds were found that are proved to hold"):
         verified(Never(), trial, training, 1.25)
 
