@@ -138,8 +138,8 @@ def _decided_exactly(image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np
     t, (inside, outside, idle) = np.zeros(image.lo.shape[1]), np.zeros((3, image.lo.shape[1]), bool)
     left, c = np.arange(len(t)), len(image.R)
     for number in range(ROUNDS):
-        top, *shares = _in_floats(image)
-        found = _searched(image, *shares)
+        top, values, radius = _in_floats(image)
+        found = _searched(image, values, radius)
         x = np.where(np.isfinite(found.x), found.x, 0)
         power = places(x)
         x, finer = whole_floats(x, power) * top, ("lo", "hi", "known", "off")

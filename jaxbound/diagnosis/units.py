@@ -139,7 +139,7 @@ def _converted_windows(
 ) -> np.ndarray:
     """Return the windows (tries, N, s + 1, inputs and outputs) that end at some samples, converted."""
     windows = signals[ends[:, None] + np.arange(-horizon, 1)]
-    return np.stack([_converted_signals(windows, *one) for one in tries])
+    return np.stack([_converted_signals(windows, group, conversion) for group, conversion in tries])
 
 
 def _consistent(relations: ParityRelation, converted: np.ndarray) -> np.ndarray:

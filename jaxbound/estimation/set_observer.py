@@ -319,8 +319,8 @@ class SetObserver(Observer[State], Generic[State]):
             fresh |= piece.excluded[:, None]
         # what a recorder rounded stays rounded, however exactly kernels compute
         unit = max(float(rounding.unit(y.dtype)), float(rounding.unit(self.plant.dtype)))
-        columns = time_first(u), time_first(y), time_first(input_slip(u))
-        return tuple(lead), self.plant.read(*columns, fresh, unit)
+        slip = time_first(input_slip(u))
+        return tuple(lead), self.plant.read(time_first(u), time_first(y), slip, fresh, unit)
 
     def _followed(
         self, carry: steps.ZonotopeCarry, samples: Piece

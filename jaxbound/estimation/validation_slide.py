@@ -191,8 +191,8 @@ class Slide:
         """Return the arrays of `slide` on the host."""
         if not is_outside_xla():
             refuse_unverified()
-        M, how = jnp.asarray(ends(self.M)), (self.s, self.method, self.centre)
-        out = slide(self.plant, M, self.systems, samples, carry, first, stop, *how)
+        M, s, method = jnp.asarray(ends(self.M)), self.s, self.method
+        out = slide(self.plant, M, self.systems, samples, carry, first, stop, s, method, self.centre)
         arrays: Slid[np.ndarray] = jax.tree.map(np.asarray, out)
         return arrays
 

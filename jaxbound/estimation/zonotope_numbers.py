@@ -73,8 +73,9 @@ def numbers(
         W, off_w = np.diag(half)[:, half > 0], np.zeros_like(w)
     tolerance, noise = (rounding.round_up(x, dtype) for x in (system.tolerance, system.noise))
     y0 = middle(system.offset["y"])[0].astype(dtype)  # rounded once: `sensor.true_value` counts it
-    moves = A, off_A, B, off_B, C, off_C, D, off_D, W, w, off_w
-    return Numbers(*moves, u0, off_u0, tolerance, noise, y0, free)
+    return Numbers(
+        A, off_A, B, off_B, C, off_C, D, off_D, W, w, off_w, u0, off_u0, tolerance, noise, y0, free
+    )
 
 
 def _disturbance(linear: LinearSystem, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

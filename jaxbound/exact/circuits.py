@@ -43,12 +43,8 @@ def circuits(a: Rows) -> Matrix:
         candidates = _among_zeros(left_null_space(basis), height)
     by_support: dict[tuple[int, ...], Vector] = {}
     for row in candidates:
-        by_support.setdefault(_support(row), row)
+        by_support.setdefault(tuple(i for i, x in enumerate(row) if x), row)
     return tuple(by_support[support] for support in sorted(by_support))
-
-
-def _support(row: Vector) -> tuple[int, ...]:
-    return tuple(i for i, x in enumerate(row) if x)
 
 
 def _among_rows(basis: Matrix, rank: int) -> Iterator[Vector]:

@@ -426,8 +426,8 @@ def _looked(records: Records, marks: Marks, order: int, delay: int) -> _Look | N
     for (u, y, starts), (unknown, _, _), (_, absent) in zip(records, late, marks, strict=True):
         unknown = unknown == 1.0
         first = regression.windows_without(np.asarray(np.isnan(u).any(1)), starts, HORIZON)
-        standard = (u - scales.u) / scales.u_spread, (y - scales.y) / scales.y_spread
-        parts.append(_Part(*standard, unknown, absent, first))
+        u, y = (u - scales.u) / scales.u_spread, (y - scales.y) / scales.y_spread
+        parts.append(_Part(u, y, unknown, absent, first))
     floor = []
     for i in range(len(scales.y)):
         recorded, kept = (np.concatenate([r[1][:, i] for r in x]) for x in (records, blank))

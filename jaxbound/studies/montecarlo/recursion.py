@@ -163,13 +163,9 @@ def plant_of(model: LinearSystem, room: np.ndarray, dtype: np.dtype) -> FloatPla
         offset_u=_as_floats(model.offset["u"]).astype(dtype),
         lo=lo,
         hi=np.maximum(lo, hi),
-        zeros=tuple(_zero_entries(x) for x in exact),
+        # tuples: a static field is hashed
+        zeros=tuple(tuple(map(tuple, (x == 0).tolist())) for x in exact),
     )
-
-
-def _zero_entries(x: np.ndarray) -> Zeros:
-    """Return which entries of a matrix are zero, as a value that can be hashed."""
-    return tuple(tuple(row) for row in (x == 0).tolist())
 
 
 def step(
