@@ -149,6 +149,7 @@ class Detector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-lea
         """
         res = self.detect(X, margins="exact")
         fault, margin = res.status == Status.FAULT, np.nan_to_num(np.asarray(res.margin, np.float64), nan=0.0)
+        # a proved fault ranks below all else, though its margin may be rounded to 0
         return np.where(fault, np.minimum(margin, -np.finfo(np.float64).tiny), np.maximum(margin, 0.0))
 
     def score_samples(self, X: object) -> np.ndarray:

@@ -36,7 +36,7 @@ from jaxbound.exact import linalg
 from jaxbound.exact.linalg import Matrix, Vector, add_multiple, multiply, transpose
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.unknown_directions import unknown_directions, with_direct_states
-from jaxbound.models.window import float_matrices
+from jaxbound.models.window import model_matrices
 from jaxbound.relations.bounds import model_bounds
 from jaxbound.relations.sentence import relation_text
 from jaxbound.sets.floats.status import Status
@@ -223,7 +223,7 @@ def program(window: LongWindow) -> tuple[float, np.ndarray]:
     from scipy.sparse import csr_array, diags_array, eye_array, hstack, kron, vstack
 
     m, s = window.model, window.horizon
-    A, B, C, D, G, F, D_v = float_matrices(m, ("A", "B", "C", "D", "G", "F", "D_v"))
+    A, B, C, D, G, F, D_v = model_matrices(m, ("A", "B", "C", "D", "G", "F", "D_v"))
     n, free, g, every = m.n, (s + 1) * (m.n + m.d), s * m.g, eye_array(s + 1)
     inputs, known = np.zeros((s + 1, m.m)), known_inputs(m, window.u)
     inputs.flat[: len(known)] = list(map(float, known))
@@ -254,6 +254,7 @@ def program(window: LongWindow) -> tuple[float, np.ndarray]:
     # the program failed: no multipliers, so nothing is claimed
     if best.status != 0:
         return 0.0, h
+    # dual values of the two sides of a row: their difference is its multiplier, in half-widths
     upper, lower = np.split(best.ineqlin.marginals, 2)
     h[there] = (upper - lower)[: len(there)] / rad
     return float(best.fun), h

@@ -409,6 +409,7 @@ def relations_of(
     """
     if isinstance(given, Relations):
         if given.parts and not monitors:
+            # what is differentiated or narrowed has one horizon and one set of bounds
             one = example.replace("parity_relations(model)", f"monitor.parts[{next(iter(given.parts))!r}]")
             raise TypeError(f"{verb} takes one test, not a monitor of several: {one}")
         return given

@@ -16,7 +16,7 @@ from jaxbound.consistency.drive import drive
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.window import float_matrices
+from jaxbound.models.window import model_matrices
 from jaxbound.recordings.recording import Recording
 
 LEAST, MOST = 100, 3000
@@ -82,7 +82,7 @@ def time_constants(model: LinearSystem) -> list[float]:
 
 def _recorded(model: LinearSystem, fault: Fault, course: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (u, y) of a plant in the middle of all its bounds, with a fault of this course in time."""
-    A, B, C, D, G = float_matrices(model, "ABCDG")
+    A, B, C, D, G = model_matrices(model, "ABCDG")
     total = len(course)
     acts = np.zeros((total, model.m))  # what the actuators do beside u
     if fault.signal in model.inputs:

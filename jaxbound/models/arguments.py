@@ -27,6 +27,7 @@ def taking_fields(value: type[Any]) -> Callable[[Function], Function]:
         names = {parameter.name for parameter in own}
         fields = inspect.signature(value).parameters.values()
         rare = [field.replace(kind=field.KEYWORD_ONLY) for field in fields if field.name not in names]
+        # help, notebooks and editors that ask at run time read this
         function.__signature__ = inspect.Signature([*own, *rare])  # type: ignore[attr-defined]
         return function
 

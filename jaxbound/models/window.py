@@ -154,18 +154,16 @@ class ParameterForm:
         self, model: LinearSystem, horizon: int, coefficients: Mapping[str, Matrix], kind: type
     ) -> None:
         self.horizon, self.zero, self.n = horizon, kind(0), model.n
-        n, g, d, m, p = model.n, model.g, model.d, model.m, model.p
-        shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "G": (n, g), "F": (n, d), "D_v": (p, d)}
-        self.before = {}
-        for letter, shape in shapes.items():
-            self.before[letter] = _array(getattr(model, letter), kind).reshape(shape)
+        g, d, m = model.g, model.d, model.m
+        letters = "A", "B", "C", "D", "G", "F", "D_v"
+        self.before = dict(zip(letters, model_matrices(model, letters, kind), strict=True))
         self.changes = {letter: _array(rows, kind) for letter, rows in coefficients.items()}
         widths = {
             "w": (g, horizon),
             "v": (d, unknown_lags(model, horizon)),
             "u": (m, input_lags(model, horizon)),
         }
-        self.at, self.width = {}, n  # columns of each sample of a signal, and of all
+        self.at, self.width = {}, model.n  # columns of each sample of a signal, and of all
         for signal, (width, lags) in widths.items():
             if signal == "u":
                 self.known = self.width
@@ -209,11 +207,12 @@ class ParameterForm:
         return rows
 
 
-def float_matrices(model: LinearSystem, letters: Iterable[str]) -> list[np.ndarray]:
-    """Return matrices of a model in floats, (rows, columns) where either may be 0."""
+def model_matrices(model: LinearSystem, letters: Iterable[str], kind: type = float) -> list[np.ndarray]:
+    """Return matrices of a model in floats, or as Fractions, (rows, columns) where either may be 0."""
     n, m, p, g, d = model.n, model.m, model.p, model.g, model.d
+    # without rows or columns a matrix has lost its width
     shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "G": (n, g), "F": (n, d), "D_v": (p, d)}
-    return list(map(lambda letter: np.array(getattr(model, letter), float).reshape(shapes[letter]), letters))
+    return list(map(lambda name: _array(getattr(model, name), kind).reshape(shapes[name]), letters))
 
 
 def _array(rows: Sequence[Sequence[Fraction]], kind: type) -> np.ndarray:

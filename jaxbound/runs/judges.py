@@ -102,6 +102,7 @@ class Carried(Generic[State]):
         if self.warm and self.done > first:
             self._follow(given.cut(max(self.done - self.warm - first, 0), self.done - first))
         self.warm = None
+        # each part by itself: its bytes are the same whichever pieces it came in
         edges = [self.done, *range((self.done // self.size + 1) * self.size, stop, self.size), stop]
         for begin, end in itertools.pairwise(edges):
             found = self._follow(given.cut(begin - first, end - first))

@@ -270,6 +270,7 @@ class _Judging:
         judge = self._judge(parts.start, laps)
         about = Noted(self.source.samples, self.asked.relations)
         sink = Parts(self.folder, notes, self.size, end, about, judge)
+        # windows of the first samples reach back into the part before
         pieces = self.source.pieces(self.asked.chunk, judge.overlap, max(first - judge.begins, 0), end)
         report(first)
         for at, piece in follow(pieces, judge, [sink], laps=laps):

@@ -170,6 +170,7 @@ def _narrowed(domain, X, T, image, centre, value, slope):
     usable &= ~out
     rest = Interval(jnp.where(usable, lo, X.lo), jnp.where(usable, hi, X.hi))
     x = centre + P @ (mid(T) - mid(value))
+    # where elimination failed there is still a point to look at
     return _Left(out, rest, jnp.where(jnp.isnan(x), centre, jnp.clip(x, domain.lo, domain.hi)), P)
 
 

@@ -103,6 +103,7 @@ def explore(
     aside = proofs = now.chosen(np.zeros(count, bool))
     evaluated, solved, level = np.zeros(count, np.int64), np.zeros(count, bool), 0
     while True:
+        # a target is left as a whole: part of a level would be no cover of it
         spent = (evaluated + np.bincount(now.owner, minlength=count) > max_boxes)[now.owner]
         aside, now = aside.beside(now.chosen(spent)), now.chosen(~spent)
         if first:

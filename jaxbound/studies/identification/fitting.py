@@ -115,6 +115,7 @@ def fit(
         step = partial(in_part, report, 0.0, 0.4)
         training, plan, signals = _with_signals(training, plan, begin_with or (), step)
         report = partial(in_part, report, 0.4, 0.6)
+    # only now: the choice of signals may have dropped an input
     refuse_unseen(plan.faults, training.inputs, training.outputs)
     why = hindrance(training) if plan.follow else ""
     if why and plan.follow != AUTO:

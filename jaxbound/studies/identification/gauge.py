@@ -23,7 +23,7 @@ import numpy as np
 
 from jaxbound.models.average import Average
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.window import float_matrices
+from jaxbound.models.window import model_matrices
 from jaxbound.sets.strips.chebyshev import fitted
 from jaxbound.studies.identification.judging import Judge, Sizes
 from jaxbound.studies.identification.one_thread import times
@@ -60,7 +60,7 @@ class Gauge(NamedTuple):
 
     def _driven(self, u: np.ndarray) -> np.ndarray:
         """Return the outputs (N, s + 1, p) of windows whose first state is 0, by inputs (N, s + 1, m)."""
-        A, B, C, D = float_matrices(self.model, "ABCD")
+        A, B, C, D = model_matrices(self.model, "ABCD")
         u = u - np.array(self.model.offset["u"], float)
         x, out = np.zeros((len(u), len(A))), np.zeros((*u.shape[:2], self.model.p))
         for k in range(u.shape[1]):
@@ -123,7 +123,7 @@ def gauge_of(model: LinearSystem, averages: Sequence[Average] | None = None) -> 
     if averages is None:
         averages = model.averages
     over = _over_bounds(model, averages, horizon + 1, seen)
-    A, C = float_matrices(model, "AC")
+    A, C = model_matrices(model, "AC")
     blocks = [C]
     for _ in range(horizon):
         blocks.append(blocks[-1] @ A)

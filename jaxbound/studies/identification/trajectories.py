@@ -21,7 +21,7 @@ import numpy as np
 
 from jaxbound.models.faults import Fault
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.window import float_matrices
+from jaxbound.models.window import model_matrices
 from jaxbound.studies.identification.records import Record
 
 if TYPE_CHECKING:
@@ -175,7 +175,7 @@ class _Rows:
 
         u, y, starts = part
         T = len(y)
-        A, B, C, D, G = float_matrices(model, "ABCDG")
+        A, B, C, D, G = model_matrices(model, "ABCDG")
         u, y = u - np.array(model.offset["u"], float), y - np.array(model.offset["y"], float)
         low, high = np.array(model.disturbance, float).reshape(-1, 2).T
         lost = np.isnan(u).any(1)
@@ -214,7 +214,7 @@ def _fault(rows: _Rows, model: LinearSystem, fault: Fault) -> tuple[np.ndarray, 
         wrong[:, model.outputs.index(fault.signal)] = course
     else:
         number = model.inputs.index(fault.signal)
-        B, D = float_matrices(model, "BD")
+        B, D = model_matrices(model, "BD")
         acts = -course[rows.linked, None] * B[:, number]
         wrong = -course[:, None] * D[:, number]
     return acts.ravel(), wrong.ravel()[rows.present]

@@ -38,7 +38,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
-from jaxbound.models.window import float_matrices
+from jaxbound.models.window import model_matrices
 from jaxbound.random.threefry import Array
 from jaxbound.sets.floats import rounding
 
@@ -84,7 +84,7 @@ def largest_reach(model: LinearSystem, inputs: np.ndarray, samples: int) -> tupl
     Args:
         model: a LinearSystem. inputs: (m,) the largest |v - offset| that acts. samples: how many.
     """
-    A, B, C, D, G = float_matrices(model, "ABCDG")
+    A, B, C, D, G = model_matrices(model, "ABCDG")
     drive = np.hstack([B * inputs, G * _largest_disturbances(model)])
     power, states, outputs = np.eye(model.n), np.zeros(model.n), np.abs(D) @ inputs
     with np.errstate(over="ignore", invalid="ignore"):
@@ -102,7 +102,7 @@ def rounding_room(
     """Return beta (p,) of the claim above, for inputs whose |v - offset| is at most `inputs` (m,); inf where
     it is out of proportion.
     """
-    A, B, C, D, G = float_matrices(model, "ABCDG")
+    A, B, C, D, G = model_matrices(model, "ABCDG")
     u, (n, m, g) = float(rounding.unit(dtype)), (model.n, model.m, model.g)
     states, outputs = largest_reach(model, inputs, samples)
     level = inputs + 2 * abs(_as_floats(model.offset["u"]))
@@ -148,7 +148,7 @@ def _noise_taken(model: LinearSystem, room: np.ndarray) -> np.ndarray:
 def plant_of(model: LinearSystem, room: np.ndarray, dtype: np.dtype) -> FloatPlant:
     """Return the FloatPlant of a model that `fits`, with `room` for rounding."""
     noise = _as_floats(model.noise) * (1 - 1e-15) - _noise_taken(model, room)
-    A, B, C, D, G = exact = float_matrices(model, "ABCDG")
+    A, B, C, D, G = exact = model_matrices(model, "ABCDG")
     lo = rounding.round_up([low for low, _ in model.disturbance], dtype)
     hi = rounding.round_down([high for _, high in model.disturbance], dtype)
     return FloatPlant(

@@ -97,6 +97,7 @@ def tuned_monitor(
         except ValueError as e:
             raise ValueError(f"test {name!r}: {e}") from None
         tunings[name] = one
+        # rounded up: what healthy data proved holds under wider bounds
         factors[name] = _short(test.factor * _grown(one))
         notes += one.notes
     if not tunings:

@@ -189,6 +189,7 @@ def tune(
         return tuned_observer(watch, healthy, faulty, plan.bounds, safety, confidence, report)
     model, s = relations.model, relations.horizon
     moved = moving(relations, plan.bounds, plan.weights)
+    # one bound has no direction to look for: its size is all there is
     alone = len(moved.names) == 1
     good, bad = both_recordings(model, s, healthy, faulty)
     gone = good.without(s)
@@ -198,6 +199,7 @@ def tune(
             "the margin of constant_tolerance comes from a search for the best gains, which has no "
             "derivative: tune with steps=0 scales all bounds by one factor, or those that bounds= names"
         )
+    # blocks that settle the size have no part in the direction: on them rests what is said of other data
     for_scale = held_out(int(blocks.label.max(initial=-1)) + 1, 0 if alone else plan.calibrate)
     unseen = gone | touched(np.isin(blocks.label, np.flatnonzero(for_scale)), s)
     searching = partial(_Search, relations, moved, bad, plan)
@@ -206,6 +208,7 @@ def tune(
         search.run(lambda share: report(0.6 * share))
 
     low, high = smallest_scale(relations, moved, search.best, good)
+    # the product is rounded: one step up holds what was proved
     smallest = np.nextafter(high * search.best, np.inf)
 
     def direction(number: int, others: JoinedRecordings) -> np.ndarray:

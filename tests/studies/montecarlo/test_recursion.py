@@ -8,7 +8,7 @@ from oracles import MODELS
 from study_case import GUST, noises, simple
 
 import jaxbound as jb
-from jaxbound.models.window import float_matrices
+from jaxbound.models.window import model_matrices
 from jaxbound.studies.montecarlo import recursion
 
 SAMPLES, N = 60, 40
@@ -98,7 +98,7 @@ def test_no_noise_a_growing_state_and_what_is_not_certain_do_not_fit():
 
 def test_reach_is_what_the_worst_inputs_come_to(rng):
     model = jb.LinearSystem(**GUST)
-    A, B, C, _, G = float_matrices(model, "ABCDG")
+    A, B, C, _, G = model_matrices(model, "ABCDG")
     states, outputs = recursion.largest_reach(model, np.ones(1), 50)
     drive, power, x = np.hstack([B, 0.05 * G]), np.eye(2), np.zeros(2)
     for _ in range(50):
