@@ -227,7 +227,7 @@ def test_a_model_with_tests_and_a_monitor_are_told_which_call_takes_them():
         jb.margins(plant, None, [[0.0], [0.0]])
     with pytest.raises(TypeError, match=r"parameters\(parity_relations\(model\), u, y\)"):
         jb.parameters(plant, None, [[0.0], [0.0]])
-    with pytest.raises(NotImplementedError, match=r"monitor\.parts\['always'\]"):
+    with pytest.raises(TypeError, match=r"monitor\.parts\['always'\]"):
         jb.margins(jb.monitor(plant), None, [[0.0], [0.0]])
 
 
