@@ -18,6 +18,8 @@ LONGEST, SHORT, CLEARLY = 512, 8, 1 + 1e-6
 """Steps of the longest window that a certificate speaks of, of the longest of parity relations, and the
 factor it must be beyond.
 """
+AVERAGED = 64
+"""The longest of parity relations where averages are bounded, which a `Stretch` does not know."""
 WindowProof: TypeAlias = tuple[Any, np.ndarray, np.ndarray]
 """(relations of a window, u, y): a stretch, or parity relations."""
 
@@ -83,7 +85,10 @@ def _window_proof(
 ) -> WindowProof | None:
     """Return the proof by the h + 1 samples u, y, if there is one. first_box: bounds of their first state."""
     relations: Any = None
-    if first_box is None and h <= SHORT:  # parity relations know no bounds of a state
+    longest = SHORT
+    if model.averages:
+        longest = AVERAGED
+    if first_box is None and h <= longest:  # parity relations know no bounds of a state
         with suppress(ValueError):  # there are none yet, or large models are too dear for them
             relations = parity_relations(model, h)
     if relations is not None:

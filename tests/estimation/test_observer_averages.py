@@ -9,6 +9,7 @@ from observer_case import inside
 from scipy.optimize import linprog
 
 import jaxbound as jb
+from jaxbound.certificates import verify
 
 pytestmark = pytest.mark.usefixtures("searched_in_numpy")
 
@@ -112,6 +113,18 @@ def test_faults_that_only_averages_show_are_those_of_programs():
         f"{np.round(np.sort(apart), 6)}"
     )
     assert refuted > 5 and alone >= 2 and proved == refuted and max(apart) < 1e-6
+
+
+def test_a_fault_that_only_averages_show_has_a_certificate():
+    """A jump within the noise: no window of few samples proves it, nor any without the averages."""
+    u, y = np.zeros((18, 1)), np.where(np.arange(18) < 14, 0.4, -0.4)[:, None]
+    how = {"method": "joint", "window": 16, "order": 6}
+    found = jb.detect(jb.observer(STILL, **how), u, y)
+    without = jb.detect(jb.observer(STILL.replace(averages=None), **how), u, y)
+    assert found.status[-1] == jb.Status.FAULT and (without.status != jb.Status.FAULT).all()
+    document = found.explain(17).to_dict()
+    assert len(document["numbers"]["y"]) > 9 and "averages" in document["numbers"]
+    verify(document, STILL, u, y)
 
 
 def fault_free(seeds, N, T):
