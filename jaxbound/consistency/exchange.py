@@ -139,18 +139,19 @@ class ExchangeTest(SignedTest):
 
     def settle(self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, progress: Progress) -> None:
         """Decide in whole numbers what rounding leaves open far from the boundary, and in NumPy what the
-        search does: as where all windows are searched there.
+        search does, be it the size of a margin: as where all windows are searched there.
         """
         (margin,) = outs
         self._whole_numbers(u, y, margin)
         if is_outside_xla():
             return
-        open_ = np.flatnonzero(margin == 0) - self.horizon
+        open_ = np.union1d(left, np.flatnonzero(margin == 0) - self.horizon)
         open_ = open_[~self._lacking(u, y, open_)]
         for first in range(0, len(open_), TOGETHER):
             starts = open_[first : first + TOGETHER]
             windows = gather(u, y, starts, self.lags, self.horizon)
-            margin[starts + self.horizon] = self._holes.searched(*windows)
+            searched, ends = self._holes.searched(*windows), starts + self.horizon
+            margin[ends] = np.where(searched == 0, margin[ends], searched)
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T); see `WindowTest.margins`."""
