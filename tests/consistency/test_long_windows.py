@@ -54,7 +54,7 @@ def test_the_margin_is_the_gauge_of_the_program(rng):
 
 @pytest.mark.usefixtures("as_compiled")
 def test_the_margin_is_exact_where_the_search_comes_to_its_last_step():
-    """A sensor that is stuck: exchanges go round in circles."""
+    """A sensor that is stuck: rows that tie take more exchanges than the compiled search makes."""
     means = {"y1": {3: "0.15"}, "w1": {2: "0.005"}}
     plant = paper(noise=["0.3", "0.2"], tolerance=0, disturbance=([[1], ["0.5"]], "0.01"), averages=means)
     y = np.array([[0.4, 1.6], [1.5, 1.6], [1.6, 1.6], [1.7, 1.6], [1.7, 1.6]])

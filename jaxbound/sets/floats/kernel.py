@@ -56,10 +56,11 @@ def compile(when: str = AUTO) -> None:
     Args:
         when: "auto": once NumPy took about as long for one kind as compiling takes: behind 8 000 windows of a
             small test, some hundred of one that searches among many disturbances, 2 000 samples of a small
-            observer. "always": at once. "never". Where windows are searched, Monitors, and pipes with them,
-            compile behind their first 512 samples, which NumPy judges one by one. All that is written in
-            parts (Parquet, fleets, studies, fits) compiles at once: its bytes are the same however it is cut.
-            So does all that goes to another device than a CPU.
+            observer. "always": at once. "never": except for windows, and samples of observers, within
+            rounding of their bounds. Where windows are searched, Monitors, and pipes with them, compile
+            behind their first 512 samples, which NumPy judges one by one. All that is written in parts
+            (Parquet, fleets, studies, fits) compiles at once: its bytes are the same however it is cut. So
+            does all that goes to another device than a CPU.
 
     Raises:
         ValueError: another word.
