@@ -88,8 +88,10 @@ class Ask:
         Raises:
             ValueError: there is no such test.
         """
+        if self.test is None:
+            return model
         if not isinstance(self.test, str):
-            return model if self.test is None else model.replace(tests=[self.test])
+            return model.replace(tests=[self.test])
         known = {test.name: test for test in model.tests}
         if self.test in known:
             return model.replace(tests=[known[self.test]])

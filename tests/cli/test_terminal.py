@@ -13,7 +13,6 @@ import pytest
 from jaxbound.cli import main, terminal
 from jaxbound.cli.fleet_table import write_fleet
 from jaxbound.cli.main import COMMANDS
-from jaxbound.models import modelfile
 from jaxbound.models.modelfile import load_model, template
 from jaxbound.plots.canvas import canvas, style, to_png
 from jaxbound.recordings.expressions import expression, missing_column
@@ -157,7 +156,7 @@ def test_too_little_memory_is_a_sentence(capsys, monkeypatch, model):
     def greedy(path):
         raise MemoryError("Unable to allocate 8 TiB")
 
-    monkeypatch.setattr(modelfile, "load_model", greedy)
+    monkeypatch.setattr("jaxbound.cli.window.load_model", greedy)
     assert main.main(["info", str(model / "m.toml")]) == 2
     assert "more memory than there is" in capsys.readouterr().err
 
@@ -208,7 +207,7 @@ def test_quiet_prints_the_first_line_and_verbose_each_stage(model, capsys):
 
 
 def test_an_internal_error_says_its_traceback_with_v(model, capsys, monkeypatch):
-    monkeypatch.setattr(modelfile, "load_model", lambda path: 1 / 0)
+    monkeypatch.setattr("jaxbound.cli.window.load_model", lambda path: 1 / 0)
     monkeypatch.setattr(main.tempfile, "tempdir", str(model))
     assert main.main(["info", str(model / "m.toml")]) == 70 and "Traceback" not in capsys.readouterr().err
     assert (

@@ -127,18 +127,6 @@ def test_a_fault_that_only_averages_show_has_a_certificate():
     verify(document, STILL, u, y)
 
 
-def test_a_fault_that_only_averages_show_has_a_certificate():
-    """A jump within the noise: no window of few samples proves it, nor any without the averages."""
-    u, y = np.zeros((18, 1)), np.where(np.arange(18) < 14, 0.4, -0.4)[:, None]
-    how = {"method": "joint", "window": 16, "order": 6}
-    found = jb.detect(jb.observer(STILL, **how), u, y)
-    without = jb.detect(jb.observer(STILL.replace(averages=None), **how), u, y)
-    assert found.status[-1] == jb.Status.FAULT and (without.status != jb.Status.FAULT).all()
-    document = found.explain(17).to_dict()
-    assert len(document["numbers"]["y"]) > 9 and "averages" in document["numbers"]
-    verify(document, STILL, u, y)
-
-
 def fault_free(seeds, N, T):
     """Return how many fault-free samples were observed, with gaps and missing samples."""
     samples = 0
