@@ -48,6 +48,8 @@ class StripsTest(LinearTest):
         starts = np.flatnonzero((status == UNDECIDED) & (margin == 0)) - self.horizon
         if len(starts):
             starts = starts[thin(self.reading, *gather(u, y, starts, self.lags, self.horizon))]
+        if not len(starts):  # of a stream nearly always, whose samples come one by one
+            return
         margin[starts + self.horizon] = self._exactly(u, y, starts, progress)
         status[starts + self.horizon] = status_of(margin[starts + self.horizon])
 
