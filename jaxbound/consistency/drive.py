@@ -369,9 +369,10 @@ def _last_look(test: WindowTest, filling: "_Filling", ends: np.ndarray, size: in
     """Ask easy windows of what the search leaves open: verdicts do not depend on who is asked first, nor on
     the windows beside.
     """
-    if test.easy is None:
+    left = ends[filling.outs[0][ends] == 0]
+    if not len(left) or test.easy is None:  # asked last: its matrix is worked out then
         return
-    left, own = ends[filling.outs[0][ends] == 0], min(size, test.easy.windows.block)
+    own = min(size, test.easy.windows.block)
     _Gathering(test.easy.windows, filling, own, reporter(None)).judge_all(left - test.horizon)
 
 

@@ -122,7 +122,7 @@ def observer_method(method: str | ObserverMethod, **options: int | None) -> Obse
             raise ValueError(f"{', '.join(given)} belongs to a method given by name: {method!r} says it")
         return method
     if not isinstance(method, str) or method not in OBSERVERS:
-        raise ValueError(f"method must be one of {', '.join(OBSERVERS)}, not {method!r}")
+        raise ValueError(f"an observer is one of {', '.join(OBSERVERS)}, not {method!r}")
     kind = OBSERVERS[method]
     own = {field.name for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     return kind(**{field: value for field, value in given.items() if field in own})

@@ -39,14 +39,12 @@ def model_of(model: LinearSystem, test: StatedTest) -> LinearSystem:
                 f"the model of test {test.name!r} has {field} {getattr(own, field)!r}, the file "
                 f"{getattr(model, field)!r}: all tests of a monitor judge the same samples"
             )
-    if test.lags is not None:
-        window: dict[str, Any] = {"lags": test.lags}
-    elif test.horizon is not None:
-        window = {"horizon": test.horizon}
-    else:
+    if not test.states_bounds:  # a monitor says where a test reaches further than the model's windows
         return own
-    if test.states_bounds or own.lags is not None or test.lags is not None:
-        return own.replace(**window)
+    if test.lags is not None:
+        return own.replace(lags=test.lags)
+    if test.horizon is not None:
+        return own.replace(horizon=test.horizon)
     return own
 
 

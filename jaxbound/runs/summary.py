@@ -322,7 +322,7 @@ def _fault_sentence(found: Evidence, label: Label) -> str:
         where = _place_of_contradiction(found, label)
     elif found.faulty is not None:
         many = f"{faults} of {count} windows {share} contradict the model and the samples accepted before"
-        where = f"the first is at {label(found.first)}; {_blamed(found.faulty)}"
+        where = f"the first FAULT is at {label(found.first)}; {_blamed(found.faulty)}"
     else:
         many = f"{faults} of {count} windows {share} cannot be explained by any behaviour inside the bounds"
         where = _place_of_fault(found, label)
@@ -344,13 +344,13 @@ def _grouped(alarms: int) -> str:
 def _place_of_contradiction(found: Evidence, label: Label) -> str:
     if found.first is None:
         return f"the worst is at {label(found.at)}"
-    return f"the first is at {label(found.first)}"
+    return f"the first FAULT is at {label(found.first)}"
 
 
 def _place_of_fault(found: Evidence, label: Label) -> str:
     if np.isfinite(found.margin):
         return f"the worst, at {label(found.at)}, would need bounds {times(1 - found.margin)} as wide"
-    return f"the first is at {label(found.at)}"
+    return f"the first FAULT is at {label(found.at)}"
 
 
 def _blamed(faulty: Mapping[str, int]) -> str:

@@ -56,7 +56,7 @@ class TestVerdict:
         assert (
             verdict == "fault"
             and "4 of 59 windows (6.78 %)" in sentence
-            and "in 2 alarms; the first is at 20 s" in sentence
+            and "in 2 alarms; the first FAULT is at 20 s" in sentence
         )
         assert sentence.endswith("faulty: y1 in 4 samples.")
         assert res.stretches() == [(0, 20, 22), (0, 40, 40)] and res.blamed == {"y1": 4}

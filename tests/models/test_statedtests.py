@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
+from jaxbound.diagnosis.hints import outgrown_by
 from jaxbound.models.modelfile import changed_text, load_model, model_text
 from jaxbound.models.testmodels import model_of
 
@@ -217,3 +218,14 @@ def test_another_file_of_other_signals_is_refused_in_one_sentence(load, tmp_path
         (tmp_path / "other.toml").write_text(text)
     with pytest.raises(ValueError, match=f"model of test 'a': .*{re.escape(sentence)}"):
         load(PLANT + '[[test]]\nname = "a"\nmodel = "other.toml"\n')
+
+
+def test_lags_beyond_the_windows_that_bounds_were_fitted_to_are_said():
+    """As longer windows are; a test that states bounds has those of its own windows."""
+    tests = [{"name": "far", "lags": [0, 4]}, {"name": "long", "horizon": 4}]
+    tests += [{**test, "name": f"own {test['name']}", "factor": 1.5} for test in tests]
+    fitted = {"noise": "fitted to 3 recordings"}
+    for window, outgrown in (({"horizon": 1}, ["far", "long"]), ({"lags": [0, 2]}, ["far", "long"])):
+        plant = jb.LinearSystem([[0.5]], None, [[1]], dt=1, noise=0.1, provenance=fitted, tests=tests, **window)
+        bank = jb.monitor(plant)
+        assert [name for name in bank.parts if outgrown_by(bank, name)] == outgrown

@@ -474,7 +474,7 @@ class TestCautions:
             dict(observer="joint", average=2),
             "average is for windows: a fit for an observer looks at every sample",
         ),
-        (dict(observer="sharp"), "observer: method must be one of zonotope"),
+        (dict(observer="sharp"), "observer: an observer is one of zonotope"),
         (dict(safety=0.9), "safety must be a factor >= 1, not 0.9"),
         (dict(average=6), "average must be a whole number from 2 to the 5 samples of a window, not 6"),
         (dict(average=True), "average must be a whole number from 2"),
