@@ -11,7 +11,7 @@ from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
 
-from jaxbound.certificates.checker.formats import smt2, vipr
+from jaxbound.certificates.checker.solver_texts import smt2, vipr
 from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.consistency.interface import Relations
 from jaxbound.models.named_faults import NamedFault

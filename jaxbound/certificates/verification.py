@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from jaxbound.certificates.checker.script import against
+from jaxbound.certificates.checker.command import against
 from jaxbound.certificates.checker.words import Matrix
 from jaxbound.certificates.plain import (
     plain_factors,

@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     Only the samples of the window are read (a CSV file: all).
     """
     with swift_imports():
-        from jaxbound.certificates.checker.script import CONFIRMED, NOT_CONFIRMED, REFUSED, load
+        from jaxbound.certificates.checker.command import CONFIRMED, NOT_CONFIRMED, REFUSED, load
         from jaxbound.certificates.verification import named_window, of_test, verify
         from jaxbound.cli.window import stated_model
         from jaxbound.recordings.read import open_source

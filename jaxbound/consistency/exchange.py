@@ -2,7 +2,7 @@
 `sets.strips.separation` over blocks of windows.
 
 Windows are gathered into blocks of one fixed size. Those that the search leaves open, one in some thousands,
-and those that lack a sample on which it is built, are decided in NumPy (`holes`).
+and those that lack a sample on which it is built, are decided in NumPy (`search_on_host`).
 """
 
 import copy
@@ -16,10 +16,10 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.check import contradicted_by
-from jaxbound.consistency.holes import HolesTest, whole_margins
 from jaxbound.consistency.interface import Arrays, Cases, Easy, LinearRelations, Outs, Run, SignedTest
 from jaxbound.consistency.projection import easy_by
 from jaxbound.consistency.reading import Block, Reading, gather
+from jaxbound.consistency.search_on_host import HolesTest, whole_margins
 from jaxbound.consistency.unproved import over_blocks, unproved_margins
 from jaxbound.consistency.whole_numbers import finite, thin
 from jaxbound.exact.frames import ExactFrame

@@ -2,8 +2,8 @@
 
 A reading is y = (1 + theta_i) t + delta, theta_i the same in all samples of output i. With gains g_i = 1 / (1
 + theta_i) a true value lies between g_i (d - rho) and g_i (d + rho), d = y - offset: linear in unknowns and
-gains together. So a window is asked once, as one that lacks samples (`holes`): each gain is an unknown of its
-own, each row two, of which one side counts. Disturbances are rows with the gain 1.
+gains together. So a window is asked once, as one that lacks samples (`search_on_host`): each gain is an
+unknown of its own, each row two, of which one side counts. Disturbances are rows with the gain 1.
 
 The unknowns at the gains that were found explain the window, whose rows are then those of a certain model, or
 one combination h contradicts it for all gains: the sum of the rows of an output is multiplied by its gain,
@@ -21,9 +21,9 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.check import LEAST, UNIT, HostImage
-from jaxbound.consistency.holes import TOLD, Found, HolesTest
 from jaxbound.consistency.host_rows import doubles
 from jaxbound.consistency.interface import LinearRelations
+from jaxbound.consistency.search_on_host import TOLD, Found, HolesTest
 from jaxbound.consistency.strips_on_host import excludes_0
 from jaxbound.models.rows import Kind
 from jaxbound.recordings.recording import Recording

@@ -6,7 +6,7 @@ in floats, which then decides nothing. A strip times all denominators compares i
 
     |sum_i h_i (hi_i + lo_i) - 2 k v| <= sum_i |h_i| (hi_i - lo_i),
 
-some microseconds for each, so only windows with such a bound come here. Those of a search: `holes`.
+some microseconds for each, so only windows with such a bound come here. Those of a search: `search_on_host`.
 """
 
 import numpy as np

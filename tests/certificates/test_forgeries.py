@@ -12,7 +12,7 @@ from uncertain_systems import relations
 
 import jaxbound as jb
 from jaxbound.certificates import verify
-from jaxbound.certificates.checker.script import main as checker
+from jaxbound.certificates.checker.command import main as checker
 from jaxbound.certificates.interface import certify
 from jaxbound.cli import main
 

@@ -25,7 +25,7 @@ from outside_checkers import adds_up, built, cvc5_says, vipr_confirms, z3_says
 
 import jaxbound as jb
 import jaxbound.certificates.checker
-from jaxbound.certificates.checker.script import REFUSED
+from jaxbound.certificates.checker.command import REFUSED
 from jaxbound.certificates.interface import certify
 from jaxbound.certificates.residual_certificate import ResidualCertificate
 from jaxbound.certificates.verification import verify

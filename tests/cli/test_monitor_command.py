@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
-from jaxbound.certificates.checker.script import main as checker
+from jaxbound.certificates.checker.command import main as checker
 from jaxbound.cli import main
 from jaxbound.cli.pipe import LiveRun, judge_stream
 from jaxbound.diagnosis.alarmrule import AlarmRule

@@ -224,8 +224,7 @@ def test_lags_beyond_the_windows_that_bounds_were_fitted_to_are_said():
     """As longer windows are; a test that states bounds has those of its own windows."""
     tests = [{"name": "far", "lags": [0, 4]}, {"name": "long", "horizon": 4}]
     tests += [{**test, "name": f"own {test['name']}", "factor": 1.5} for test in tests]
-    fitted = {"noise": "fitted to 3 recordings"}
+    how = dict(dt=1, noise=0.1, provenance={"noise": "fitted to 3 recordings"}, tests=tests)
     for window, outgrown in (({"horizon": 1}, ["far", "long"]), ({"lags": [0, 2]}, ["far", "long"])):
-        plant = jb.LinearSystem([[0.5]], None, [[1]], dt=1, noise=0.1, provenance=fitted, tests=tests, **window)
-        bank = jb.monitor(plant)
+        bank = jb.monitor(jb.LinearSystem([[0.5]], None, [[1]], **how, **window))
         assert [name for name in bank.parts if outgrown_by(bank, name)] == outgrown

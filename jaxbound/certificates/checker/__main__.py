@@ -28,6 +28,6 @@ def _alone() -> None:
 
 if __name__ == "__main__":
     _alone()
-    from jaxbound.certificates.checker.script import main
+    from jaxbound.certificates.checker.command import main
 
     sys.exit(main(sys.argv[1:]))

@@ -1,5 +1,5 @@
-"""Windows that lack samples or inputs, decided in NumPy from the one frame of their relations, and what
-floats leave open, in whole numbers.
+"""Long windows searched and decided in NumPy, whatever samples or inputs they lack, from the one frame of
+their relations; and what floats leave open, in whole numbers.
 
 **Search.** This is a Chebyshev problem: the least t = max |b - B x| / r, x = (d, f), over the rows that are
 there. Each f is exchanged for a row that tells it; from there the single exchange of

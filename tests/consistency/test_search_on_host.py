@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 import jaxbound as jb
-from jaxbound.consistency import check, exchange, holes
+from jaxbound.consistency import check, exchange, search_on_host
 from jaxbound.sets.floats.status import Status
 
 A, B, C = [["0.9", "0.2"], ["-0.3", "0.8"]], [["0.2", "0.1"], ["0.5", "-0.4"]], [[1, 0], ["0.5", 1]]
@@ -114,7 +114,7 @@ def test_no_healthy_window_at_its_bounds_is_a_fault(relations, rng):
 def test_whatever_a_search_finds_no_false_verdict_follows(relations, rng, monkeypatch):
     """Hints are data: with wrong ones verdicts are UNDECIDED, never others than those of the program."""
     u, y = recording(rng, 60, 0.1, fault=0.35)
-    right, found, exact = jb.detect(relations, u, y).status, holes.fitted, 0
+    right, found, exact = jb.detect(relations, u, y).status, search_on_host.fitted, 0
     assert {Status.CONSISTENT, Status.FAULT} <= set(right.tolist())
 
     def wrong(*given):
@@ -124,7 +124,7 @@ def test_whatever_a_search_finds_no_false_verdict_follows(relations, rng, monkey
         telling = np.where(rng.random(fit.telling.shape) < 0.3, -1, fit.telling)
         return fit._replace(t=np.full_like(fit.t, rng.choice([0.5, 2.0])), x=x, h=h, telling=telling)
 
-    monkeypatch.setattr(holes, "fitted", wrong)
+    monkeypatch.setattr(search_on_host, "fitted", wrong)
     for _ in range(8):
         status = jb.detect(relations, u, y).status
         decided = status != Status.UNDECIDED
