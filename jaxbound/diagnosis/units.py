@@ -17,6 +17,7 @@ from jaxbound.certificates.interface import Judgement
 from jaxbound.consistency.drive import drive
 from jaxbound.consistency.interface import AUTO, EXACT, margins_for, window_count
 from jaxbound.models.system import LinearSystem
+from jaxbound.recordings.expressions import is_expression
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.relations.parity import ParityRelation
 from jaxbound.sets.floats.kernel import sparing, tried_in_numpy
@@ -204,9 +205,12 @@ def _conversions(model: LinearSystem, group: Group) -> tuple[Conversion, ...]:
     """Return the conversions that the units of the signals, where they are stated, do not rule out."""
     names = model.inputs + model.outputs
     units = {model.unit(names[j]) for j in group} - {""}
-    if not units:
-        return CONVERSIONS
-    return tuple(c for c in CONVERSIONS + DIFFERENCES if _allowed(c, units))
+    known = CONVERSIONS
+    if units:
+        known = tuple(c for c in CONVERSIONS + DIFFERENCES if _allowed(c, units))
+    # what is computed of columns, mostly a difference, has no zero that a unit moves
+    computed = any(is_expression(model.columns.get(names[j], "")) for j in group)
+    return tuple(c for c in known if not (computed and c.shift))
 
 
 def _allowed(conversion: Conversion, units: set[str]) -> bool:

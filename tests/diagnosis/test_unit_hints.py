@@ -134,3 +134,11 @@ def test_all_fault_names_units_and_columns_as_a_cause(plant, rng):
     result = jb.detect(jb.monitor(plant), u, y + rng.uniform(5, 40, y.shape))
     (hint,) = [hint for hint in result.hints if "samples with data" in hint]
     assert "another unit, or another signal" in hint and "jaxbound info" in hint
+
+
+def test_a_difference_of_columns_has_no_zero_that_a_unit_moves():
+    """32 degF less of a lift is no lift in degC: a fault that looks like it is none of units."""
+    model = jb.LinearSystem([[0.5]], [[1]], [[1]], noise=0.1, outputs=["lift"])
+    lift = model.replace(columns={"lift": "= `supply` - `mixed`"})
+    shifted = [[bool(way.shift) for way in units._conversions(m, (1,))] for m in (model, lift)]
+    assert any(shifted[0]) and shifted[1] and not any(shifted[1])
