@@ -205,7 +205,7 @@ def _conversions(model: LinearSystem, group: Group) -> tuple[Conversion, ...]:
     """Return the conversions that the units of the signals, where they are stated, do not rule out."""
     names = model.inputs + model.outputs
     units = {model.unit(names[j]) for j in group} - {""}
-    known = CONVERSIONS
+    known: tuple[Conversion, ...] = CONVERSIONS
     if units:
         known = tuple(c for c in CONVERSIONS + DIFFERENCES if _allowed(c, units))
     # what is computed of columns, mostly a difference, has no zero that a unit moves

@@ -72,6 +72,7 @@ CHANGES = dict(
     averages={"w1": {2: 0.005}},
     tests=[{"name": "slow", "horizon": 5, "factor": 1.2}],
     faults=[jb.NamedFault("valve leaks", input="u", kind="offset", sign="+")],
+    alarms={"rule": "3/5"},
 )
 WITHOUT = ("E", "averages", "times")
 FIELDS = [name for name in inspect.signature(jb.LinearSystem.__init__).parameters if name != "self"]

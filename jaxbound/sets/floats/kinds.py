@@ -5,7 +5,6 @@ from contextlib import contextmanager, suppress
 from functools import cache
 
 import jax
-import jaxlib
 import numpy as np
 from jax.typing import DTypeLike
 
@@ -38,7 +37,7 @@ def kind_of_device(device: jax.Device) -> dict[str, str]:
         "platform": "NVIDIA" if nvidia else device.platform,
         "capability": capability,
         "driver": driver,
-        "jaxlib": jaxlib.__version__,
+        "jaxlib": jax.lib.__version__,
     }
 
 

@@ -488,7 +488,7 @@ def test_a_card_proves_once_its_user_examined_it_with_this_driver_and_these_vers
     changes = (
         (Examined.client, "platform_version", "of next year"),
         (Card, "device_kind", "NVIDIA H900"),
-        (kinds.jaxlib, "__version__", "0.99"),
+        (kinds.jax.lib, "__version__", "0.99"),
         (jax, "__version__", "0.99"),
         (examined, "__version__", "99.0"),
     )
