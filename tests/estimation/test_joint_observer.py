@@ -216,7 +216,7 @@ def test_what_it_cannot_take_is_said():
     for match, more in (
         ("even number", {"window": 5}),
         ("even number", {"window": True}),
-        ("method must be one of", {"method": "kalman"}),
+        ("an observer is one of", {"method": "kalman"}),
         ('"joint" sees at least as much', {"method": "constrained"}),
     ):
         with pytest.raises(ValueError, match=match):
