@@ -324,8 +324,8 @@ class _Judging:
             verdict, sentence, hints = "too little evidence", self._nothing_new(), ()
         for hint in hints:
             say(hint)
-        if numbers.outside is not None:
-            with_data = clock.samples - numbers.counts["MISSING"]
+        with_data = clock.samples - numbers.counts["MISSING"]
+        if numbers.outside is not None and with_data:
             say(f"training: {numbers.outside.shown(with_data, numbers.remembers)}")
         some = ", ".join(f"{n} {name}" for name, n in numbers.counts.items() if n)
         say(f"{sentence} {clock.samples} samples: {some}")

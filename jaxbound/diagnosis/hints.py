@@ -211,9 +211,7 @@ def unfit(
         if beyond.faults:
             within = f"nearly all {within}"
         return [f"{many}, {within}: a fault lasts all through, or the bounds are too tight{by}; {OTHERWISE}"]
-    why = "the model or its bounds do not fit this recording"
-    if faults < tested:
-        why = f"a fault lasts all through, or {why}"
+    why = "a fault lasts all through, or the model or its bounds do not fit this recording"
     return [f"{many}: {why}{by}; {OTHERWISE}"]
 
 

@@ -18,7 +18,8 @@ from jaxbound.runs.summary import summarised
     [
         (
             [FAULT] * 9,
-            "every one of the 9 windows with data is FAULT: the model or its bounds do not fit this "
+            "every one of the 9 windows with data is FAULT: a fault lasts all through, or the "
+            "model or its bounds do not fit this "
             "recording: ",
         ),
         (

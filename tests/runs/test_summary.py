@@ -36,7 +36,8 @@ class TestSummary:
     def test_all_fault_says_that_model_or_bounds_do_not_fit(self):
         res = synthetic([MISSING] + [FAULT] * 9, [np.nan] + [-1.0] * 8 + [-11.0])
         assert summary(res, [], self.label)[1] == (
-            "Every one of the 9 windows with data is FAULT: the model or its bounds do not fit this "
+            "Every one of the 9 windows with data is FAULT: a fault lasts all through, or the "
+            "model or its bounds do not fit this "
             "recording: "
             "all bounds times about 12 would make every window consistent; or a column is in another unit, "
             "or another signal, than the model has there: compare `jaxbound info MODEL.toml`."
