@@ -393,7 +393,7 @@ def _feed(state, x, depth):
         state.update(re.sub(r" at 0x[0-9a-f]+", "", repr(x)).encode())
 
 
-SKIPPED = {"relations", "model", "recording", "seconds", "plan", "made"}
+SKIPPED = {"evaluated", "relations", "model", "recording", "seconds", "plan", "made"}
 """Fields that are what a verb was asked with, or seconds."""
 
 
