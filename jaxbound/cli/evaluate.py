@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         found = []
         rules, hints = _rules(args)
         for number, model in enumerate(models):
-            assessment, said = _assessed(args, model, (ask, rules, factors), number == 0, step)
+            assessment, said = _assessed(args, model, ask, rules, factors, number == 0, step)
             found.append(assessment)
             hints += said
         named = {str(model): one for model, one in zip(models, found, strict=True)}
@@ -158,17 +158,18 @@ def _refuse_incomplete(args: argparse.Namespace) -> None:
 def _assessed(
     args: argparse.Namespace,
     path: Path,
-    how: "tuple[Ask, list[tuple[int, int]], list[float] | None]",
+    ask: "Ask",
+    rules: list[tuple[int, int]],
+    factors: list[float] | None,
     with_peers: bool,
     step: Callable[[str, float], object],
 ) -> "tuple[Assessment, list[str]]":
-    """Return (what a model is worth, hints). how: the test, rules of alarms, factors on bounds."""
+    """Return (what a model is worth, hints). rules: of alarms. factors: on all bounds."""
     from jaxbound.cli.window import stated_model, window_relations
     from jaxbound.diagnosis.hints import outgrown
     from jaxbound.recordings.read import read
     from jaxbound.studies.assessment.assessment import FACTORS, assess
 
-    ask, rules, factors = how
     stated = stated_model(path, args.every, ask)
     files = [*args.healthy, *args.faulty]
     training: list[Path] = []

@@ -71,7 +71,7 @@ def evaluate_parts(folder: OutputFolder, step: Step, run: DetectRun) -> Evaluati
             sinks = open_sinks(work, whole=False)
             res = digest(how, source, parts, rule, work / "alarms.csv", progress, sinks)
             models = source.model, relations.model
-            outcome = _outcome(run, res, (rule, res.alarms), res.label, models, source.content)
+            outcome = _outcome(run, res, rule, res.alarms, res.label, models, source.content)
             summary = outcome.summary
             close_all(sinks, outcome)
             write_report(work / PAGE, res, res, res.alarms, summary, seconds)
@@ -122,7 +122,7 @@ def evaluate(
     step("test", 1.0)
     alarms = res.alarms(rule=rule)
     seconds["test"], start = time.perf_counter() - start, time.perf_counter()
-    outcome = _outcome(run, res, (rule, alarms), recording.label, (stated, tested), content)
+    outcome = _outcome(run, res, rule, alarms, recording.label, (stated, tested), content)
     summary = outcome.summary
     close_all(sinks, outcome)
     step("report", 0.1)
@@ -135,7 +135,8 @@ def evaluate(
 def _outcome(
     run: DetectRun,
     res: Result | Digest,
-    raised: tuple[AlarmRule, Sequence[Alarm]],
+    rule: AlarmRule,
+    alarms: Sequence[Alarm],
     label: Callable[[int], str],
     models: tuple[LinearSystem, Any],
     content: str | None,
@@ -143,10 +144,10 @@ def _outcome(
     """Return the Outcome of a run, with its Summary.
 
     Args:
-        raised: the rule of alarms, and these. label: the time of a sample by its number. models: as it is
-            stated, and as it was tested. content: the digest of the recording.
+        rule: of the alarms. label: the time of a sample by its number. models: as it is stated, and as it was
+            tested. content: the digest of the recording.
     """
-    relations, (stated, tested), (rule, alarms) = res.relations, models, raised
+    relations, (stated, tested) = res.relations, models
     sizes = sizes_seen(res, alarms)
     return Outcome(
         alarms,

@@ -121,15 +121,16 @@ def judge_stream(asked: LiveRun, chunks: Iterable[Any] | None = None) -> int:
         if chunks is None:
             end = opened.enter_context(ends())
         stated = stated_model(asked.model, asked.every, ask)
-        job = asked
+        rule = None
         if asked.alarm or stated.alarms:
-            job = replace(asked, alarm=stated_rule(asked.alarm, stated, asked.model))
+            rule = stated_rule(asked.alarm, stated, asked.model)
+        job = replace(asked, alarm=rule)
         files, folder = job.files, opened.enter_context(_folder(job))
         tested, relations = window_relations(stated, ask, job.model, None, lambda stage, share: None)
         how = {"method": ask.method, "word outside training": ask.outside, **BY_VALUE}
         alarm = None
-        if job.alarm:
-            alarm = fitted(stated_rule(job.alarm, stated, job.model), relations)
+        if rule is not None:
+            alarm = fitted(rule, relations)
             how[RULE] = json.dumps(alarm.plain(), sort_keys=True)
         if not relations.searched:  # strips: sooner done than handed to another thread
             # jax states no types of this function

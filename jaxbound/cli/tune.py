@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     with door(), progress_bars(("read", "relations", "tune")) as step:
         model = stated_model(args.model, args.every, ask)
         columns = ask.recorded(model)
-        text = args.model.read_text(encoding="utf-8-sig")
+        text, tests = args.model.read_text(encoding="utf-8-sig"), load_model(args.model).tests
         recordings = []
         for i, file in enumerate(files):
             report = partial(in_part, partial(step, "read"), i / len(files), 1 / len(files))
@@ -142,7 +142,7 @@ def run(args: argparse.Namespace) -> int:
             progress=lambda share: step("tune", share),
             state=None if relations.parts else state,
         )
-        put(args.out, tuned_text(tuning, text, load_model(args.model).tests))
+        put(args.out, tuned_text(tuning, text, tests))
         if args.plot and isinstance(tuning, TuneResult):
             put(args.plot, to_png(plot_tuning(tuning)))
     hints = notes + [f"{file}: {hint}" for file, r in zip(files, recordings, strict=True) for hint in r.hints]

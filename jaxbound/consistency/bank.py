@@ -97,7 +97,7 @@ class BankTest(LinearTest):
         last = (r.count - 1) % PACKED + 1  # relations in the last word: nothing is said of others
         words[-1] &= np.uint32(2 ** (2 * last) - 1)
         flat = words.reshape(len(words), -1)
-        doubtful = np.zeros(len(at), bool)
+        exact, doubtful = r.reading(self.dtype, "box"), np.zeros(len(at), bool)
         for number, proved in enumerate(contradicted):
             word, place = divmod(number, PACKED)
             shift = np.uint32(2 * place)
@@ -106,7 +106,7 @@ class BankTest(LinearTest):
                 continue
             windows = gather(u, y, at[open_] - s, self.lags, s)
             strip = r.W[number : number + 1], r.K[number : number + 1]
-            open_ = open_[~(exact_strip_margins(r, r.reading(self.dtype, "box"), strip, *windows) < 0)]
+            open_ = open_[~(exact_strip_margins(r, exact, strip, *windows) < 0)]
             flat[word, at[open_]] ^= np.uint32(Status.FAULT ^ Status.UNDECIDED) << shift
             doubtful[open_] = True
         status = status_of_words(words, r.count)

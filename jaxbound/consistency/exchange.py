@@ -137,14 +137,14 @@ class ExchangeTest(SignedTest):
         """
         (margin,) = outs
         starts = np.flatnonzero(margin == 0) - self.horizon
+        lacking = self._lacking(u, y, starts)
         if len(starts):  # where bounds are as thin as rounding no search in floats decides, however long
-            some = self._lacking(u, y, starts) | thin(self.reading, *self._gather(u, y, starts))
+            some = lacking | thin(self.reading, *self._gather(u, y, starts))
             margin[starts[some] + self.horizon] = self.exactly(u, y, starts[some])
         if is_outside_xla():  # all windows were searched in NumPy
             return
-        # a search that ended at its last step may know a sign, and no size
-        open_ = np.union1d(left, np.flatnonzero(margin == 0) - self.horizon)
-        open_ = open_[~self._lacking(u, y, open_)]
+        # a search that ended at its last step may know a sign, and no size; it was given whole windows alone
+        open_ = np.union1d(left, starts[~lacking & (margin[starts + self.horizon] == 0)])
         for first in range(0, len(open_), TOGETHER):
             part = open_[first : first + TOGETHER]
             searched = self._holes.searched(*gather(u, y, part, self.lags, self.horizon))

@@ -112,7 +112,8 @@ def stated_tests(given: StatedTests | None) -> tuple[StatedTest, ...]:
     for i, table in enumerate(stated):
         test = table
         if not isinstance(test, StatedTest):
-            place, fields = f"number {i + 1} of test", dict(checked_table(f"number {i + 1} of test", table))
+            place = f"number {i + 1} of test"
+            fields = dict(checked_table(place, table))
             if "name" not in fields:
                 raise ValueError(f"{place} needs a name")
             name = TEXT.read("name", place, fields["name"])
