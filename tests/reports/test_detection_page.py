@@ -15,6 +15,7 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.reports import causes, detection
 from jaxbound.reports import page as pages
 from jaxbound.reports.detection import write_report
+from jaxbound.reports.parts import computed
 from jaxbound.runs.summary import summarised
 
 BEGIN, WORST = "the window in which it begins alone", "its worst window alone"
@@ -260,3 +261,9 @@ def test_each_alarm_has_its_suspects_in_a_cell(rule, tmp_path):
     write(tmp_path, res, recording_of(res), res.alarms(rule=rule))
     page = (tmp_path / "report.html").read_text()
     assert '<td data-of="suspect">y2</td>' in page and "Suspect: the signals that alone" in page
+
+
+def test_the_page_says_who_judged():
+    rows = dict(computed("joint", "windows of 3 samples", np.dtype(np.float64), {}, "NumPy and XLA"))
+    assert rows["device and numbers"].endswith(", float64, evaluated by NumPy and XLA")
+    assert dict(computed("joint", "", np.dtype(np.float64), {}))["device and numbers"].endswith(", float64")
