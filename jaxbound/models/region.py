@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
+import jax
 import numpy as np
 
 from jaxbound.models.system import LinearSystem
@@ -72,6 +73,7 @@ class Departure(NamedTuple):
         return texts
 
 
+@jax.tree_util.register_static
 @dataclass(frozen=True, eq=False)
 class Region:
     """The region of training of a model's windows.
