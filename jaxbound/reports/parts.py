@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 
 from jaxbound.consistency.interface import Relations
+from jaxbound.exact.linalg import Vector
 from jaxbound.models.modelfile import number_text
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.uncertainty import Uncertainty
@@ -16,7 +17,7 @@ from jaxbound.text.quantities import percent
 DIGITS = 12  # of an exact number, beyond which it is rounded
 
 
-def model_values(model: LinearSystem, bounds: Mapping[str, np.ndarray | tuple[Fraction, ...]]) -> dict[str, object]:
+def model_values(model: LinearSystem, bounds: Mapping[str, np.ndarray | Vector]) -> dict[str, object]:
     """Return the values of the macro `model_tables`: of a model with bounds {"tolerance", "noise"} (p,)."""
     return {
         "bounded": ("output", "column", "unit", "offset", *_headed(model)),
@@ -58,7 +59,7 @@ def _training(model: LinearSystem, i: int) -> tuple[str, str]:
     return _short(lo), _short(hi)
 
 
-def _bounds(model: LinearSystem, bounds: Mapping[str, np.ndarray | tuple[Fraction, ...]], i: int) -> tuple[str, str, str]:
+def _bounds(model: LinearSystem, bounds: Mapping[str, np.ndarray | Vector], i: int) -> tuple[str, str, str]:
     """Return the cells of what the sensor of output i may do."""
     tolerance = float(bounds.get("tolerance", model.tolerance)[i])
     noise = float(bounds.get("noise", model.noise)[i])
