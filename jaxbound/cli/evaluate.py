@@ -150,6 +150,7 @@ def _refuse_incomplete(args: argparse.Namespace) -> None:
             f"{len(args.faulty)}"
         )
     trained = {file.resolve() for file in args.peers}
+    # a detector shown what it was trained on would look better than it is
     for file in (*args.healthy, *args.faulty):
         if file.resolve() in trained:
             raise Refused(f"{file} is in --peers too: what detectors were trained on does not test them")
@@ -172,6 +173,7 @@ def _assessed(
 
     stated = stated_model(path, args.every, ask)
     files = [*args.healthy, *args.faulty]
+    # other detectors depend on no model: once, beside the first one, will do
     training: list[Path] = []
     if with_peers:
         training = args.peers
@@ -184,6 +186,7 @@ def _assessed(
     labels = []
     for number, (file, recording) in enumerate(zip(args.faulty, faulty, strict=True)):
         labels.append(_labels(args.labels, number, file, stated, recording))
+    # a horizon that no recording fills is refused by name, before anything is tested
     longest = max(recording.samples for recording in recordings[: len(files)])
     _, relations = window_relations(stated, ask, "every recording", longest, step)
     assessment = assess(

@@ -168,6 +168,7 @@ def whole_number(least: int = 0, most: int = LARGEST) -> Callable[[str], int]:
     """Return a reader of whole numbers between two."""
 
     def read(text: str) -> int:
+        # int() of a million digits takes minutes
         is_long = len(text) >= DIGITS
         if not _is_whole(text) or (not is_long and int(text) < least):
             raise ArgumentTypeError(f"needs a whole number >= {least}, not {text[:40]!r}")

@@ -80,10 +80,12 @@ def stoppable() -> Iterator[list[int]]:
     """
     caught = []
     names: set[signal.Signals] = set()
+    # Python hands signals to the main thread alone, and lets no other set their handlers
     if threading.current_thread() is threading.main_thread():
         names = {n for n in ENDS if signal.getsignal(n) == signal.SIG_DFL}
 
     def stop(number: int, frame: object) -> None:
+        # the first signal counts: what follows must not break the cleaning up
         caught.append(number)
         for n in names:
             signal.signal(n, signal.SIG_IGN)
@@ -106,6 +108,7 @@ def progress_bars(stages: Sequence[str]) -> Iterator[Callable[[str, float], obje
     if sys.stderr is None or LOUDNESS.get() == QUIET:
         yield lambda stage, share: None
         return
+    # a bar redraws its line, which fills a log with control characters
     if not sys.stderr.isatty():
         yield _Lines().step
         return
@@ -127,6 +130,7 @@ def progress_bars(stages: Sequence[str]) -> Iterator[Callable[[str, float], obje
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        # all from the start: a user sees what is still to come
         tasks = {stage: bars.add_task(stage, total=1.0) for stage in stages}
         yield lambda stage, share: bars.update(tasks[stage], completed=share)
 
@@ -180,6 +184,7 @@ def json_text(value: object) -> str:
 def nobody_reads() -> None:
     """Drop the text that waits for stdout: else the interpreter complains of it at its end."""
     with suppress(OSError):  # a stand-in for stdout has no number
+        # at exit Python flushes stdout, and would end with a broken pipe and another exit code
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -200,6 +205,7 @@ def show(
     # what rich itself writes to stdout, a full or closed one would break
     page, shown = io.StringIO(), Console()
     terminal = shown.is_terminal
+    # no terminal, no width: 160 columns, so that no cell of a table is broken into lines
     console = Console(file=page, force_terminal=terminal, width=shown.width if terminal else 160)
     grid = Table.grid(padding=(0, 2))
     for name, value in rows:
@@ -209,6 +215,7 @@ def show(
         console.print(grid)
     lines = list(table)
     if lines:
+        # numbers on the right, names on the left
         rates = Table(box=None, padding=(0, 2), pad_edge=False)
         for i, name in enumerate(lines[0]):
             rates.add_column(Text(printable(name)), justify="right" if i else "left")
