@@ -203,8 +203,8 @@ def _decided(
 
 
 def raw_outputs(test: WindowTest, u: Array, y: Array, starts: np.ndarray) -> list[np.ndarray]:
-    """Return the `outputs` (..., T) of a test, without `columns`, before a FAULT is confirmed; arguments as of
-    `windows`.
+    """Return the `outputs` (..., T) of a test, without `columns`, before a FAULT is confirmed; arguments as
+    of `windows`.
     """
     flat_u, flat_y = end_to_end(u), end_to_end(y)
     outs = _filled(test, flat_u, flat_y, y.shape[:-1], starts, reporter(None), test.block)
