@@ -107,6 +107,7 @@ def _folded(observer: Observer[Any], given: Recording) -> Verdicts:
         )
         return stacked
     begins = length * np.arange(math.prod(lead))
+    # the first sample of each recording follows nothing
     starts = (np.concatenate([[0], given.starts]) + begins[:, None]).ravel()
     excluded = given.excluded
     if excluded is not None:
@@ -247,6 +248,7 @@ def _contradicted(
         size = max(size, AGAIN)
     for first in range(0, len(starts), size):
         chosen = slice(first, first + size)
+        # each window by itself, a recording of its own: seams between them are no matter
         at = starts[chosen, None] + np.arange(test.horizon + 1)
         # A primitive of a newer jax, which NumPy does not know, confirms nothing.
         with outside_xla(), contextlib.suppress(NotImplementedError):
@@ -460,6 +462,7 @@ class _Gathering:
         groups = [starts[i : i + together] for i in range(0, len(starts), together)]
         workers = len(devices)
         if test.threads:  # where the host waits, others use the cores
+            # where devices are many each has threads of its own already
             workers = max(2, CORES // len(devices))
         elif test.sharded:
             workers = 1
