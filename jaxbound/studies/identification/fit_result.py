@@ -116,6 +116,7 @@ class FitCheck:
             smallest_mean=self.smallest_mean,
             jump=self.jump,
             steady=self.steady,
+            left_out=tuple(one.factor for one in self.left_out),
             ramp={name: max(grown, default=1.0) * size for name, size in test.ramp.items()},
         )
 

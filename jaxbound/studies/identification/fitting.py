@@ -125,7 +125,7 @@ def fit(
     if can_choose or plan.test is not None:
         model = fitted_bank(training, plan, sentences, report)
     else:
-        model = fitted(training, plan, None, sentences, report)
+        model = fitted(training, plan, sentences, report)
     return Fitted(model, dataclasses.replace(model.check, signals=signals, recipe=plan))
 
 

@@ -64,6 +64,11 @@ class Training:
         """Return the recordings with the times of their samples."""
         return read_each(self.recordings, self.inputs, self.outputs, self.columns, None)
 
+    @property
+    def days(self) -> int:
+        """How many recordings there are."""
+        return len(self.records)
+
     @cached_property
     def scales(self) -> Scales:
         """The middle and the spread of each signal."""

@@ -65,7 +65,7 @@ class JudgedTest(NamedTuple):
     sure to be seen at this factor and the safety, inf: none; blindness: these sizes as one number, see
     `sizes.blindness`, without the safety. ramp: {output: size} that a ramp has after RAMP samples, likewise.
     In floats, not proved, and of complete windows alone. reach: the share of the samples at which windows
-    have a verdict; 0: it does not count.
+    have a verdict; 0: it does not count. left_out: the factor that each recording, or block, asks for.
     """
 
     window: WindowChoice
@@ -78,6 +78,7 @@ class JudgedTest(NamedTuple):
     blindness: float
     ramp: Mapping[str, float] = {}
     reach: float = 0.0
+    left_out: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +114,7 @@ def best_kind(problem: FitProblem) -> str:
 
 
 def tried_tests(training: Training, recipe: Recipe, step: Callable[[float], object]) -> tuple[TriedTest, ...]:
-    """Return the TriedTest of each of WINDOWS that recordings are long enough for, by its best kind.
+    """Return the TriedTest of each of WINDOWS that recordings are long enough for, by each kind.
 
     Args:
         recipe: with an order and a delay. step: called with the share of the work done.
@@ -137,14 +138,11 @@ def tried_tests(training: Training, recipe: Recipe, step: Callable[[float], obje
         if horizon not in problems:
             problems[horizon] = FitProblem.of(training, own, GaugeJudge())
         problem = problems[horizon].under(GaugeJudge(), own)
-        found: list[TriedTest] = []
         try:
             for kind in kinds:
-                found += _judged(problem, kind)
+                tests += _judged(problem, kind)
         except ValueError as e:  # too few samples for windows that are so long
             refusal = refusal or e
-        if found:
-            tests.append(min(found, key=attrgetter("blindness")))
         step((number + 1) / len(WINDOWS))
     if not tests:
         raise refusal or ValueError(
@@ -177,6 +175,7 @@ def _judged(problem: FitProblem, kind: str) -> list[TriedTest]:
         problem.blindness(model),
         {name: RAMP * safety * x for name, x in seen_slopes(model, training.scales).items()},
         reached(training.records, recipe.window.horizon),
+        trial.own,
     )
     return [TriedTest(judged, trial, completeness(training.records, recipe.window.horizon) == 1)]
 
