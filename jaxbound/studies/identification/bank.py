@@ -9,7 +9,6 @@ samples. Each test has the coefficients and the bounds of a fit of its own.
 """
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from operator import attrgetter, itemgetter
@@ -76,7 +75,7 @@ def fitted_bank(
     if asked.test == AUTO:
         alone = windows.written()
         report(1.0)
-        return Fitted(alone, _listing(alone.check, tests, (best,), (alone.check,)))
+        return Fitted(alone, _listing(alone.check, tests, [alone.check.of(best)]))
     observer = asked.observing
     if asked.disturbances is not None and observer is None:
         observer = observer_method("joint")
@@ -111,41 +110,32 @@ def fitted_bank(
     models = [fit.written(fits) for fit in fits]
     base = models[0]
     check, stated = _saying(base.check, *notes), [StatedTest(best.window.text)]
+    taken = [base.check.of(best)]
     for test, model in zip(picked[1:], models[1:], strict=True):
         name = test.window.text
         if observer is not None and test.window.observer is not None:
+            taken.append(test.times(model.check.factor / test.factor))
             stated.append(test_as_fitted(base, _beside(base, model), name, _options(observer)))
             more = [f"test {name!r}: {x}" for x in model.check.sentences if x not in check.sentences]
             check = dataclasses.replace(_saying(check, *more), tradeoff=model.check.tradeoff)
-            wider = model.check.factor / test.factor
-            jump, steady = (
-                {output: wider * size for output, size in sizes.items()} for sizes in (test.jump, test.steady)
-            )
         else:
+            taken.append(model.check.of(test))
             stated.append(test_as_fitted(base, model, name))
-            jump, steady = model.check.jump, model.check.steady
-        check = _with_sizes(base, check, jump, steady)
+        check = _with_sizes(base, check, taken[-1].jump, taken[-1].steady)
     report(1.0)
     if len(stated) == 1:  # the windows of the model
         stated = []
-    return Fitted(base.replace(tests=stated), _listing(check, tests, picked, [x.check for x in models]))
+    return Fitted(base.replace(tests=stated), _listing(check, tests, taken))
 
 
-def _listing(
-    check: FitCheck, tests: Sequence[JudgedTest], picked: Sequence[JudgedTest], checks: Sequence[FitCheck]
-) -> FitCheck:
-    """Return the check with the tests that were tried, one of each windows: those that are taken, with what
-    their own checks say, else the best.
+def _listing(check: FitCheck, tests: Sequence[JudgedTest], taken: Sequence[JudgedTest]) -> FitCheck:
+    """Return the check with the tests that were tried, one of each windows: that which is taken, else the
+    best.
     """
-    shown: dict[WindowChoice, JudgedTest] = {}
-    for test in sorted(tests, key=attrgetter("blindness"), reverse=True):
-        shown[test.window] = test
-    order = dict.fromkeys(test.window for test in tests)
-    for test, own in zip(picked, checks, strict=True):
-        shown[test.window] = test
-        if test.window.observer is None:
-            shown[test.window] = own.of(test)
-    return dataclasses.replace(check, tests=tuple(shown[window] for window in order))
+    shown = dict.fromkeys(test.window for test in tests)
+    best_last = sorted(tests, key=attrgetter("blindness"), reverse=True)
+    shown |= {test.window: test for test in (*best_last, *taken)}
+    return dataclasses.replace(check, tests=tuple(shown.values()))
 
 
 def _saying(check: FitCheck, *sentences: str) -> FitCheck:
@@ -211,10 +201,10 @@ def earned(tests: Sequence[JudgedTest], days: int) -> tuple[JudgedTest, ...]:
             if any(test.window == other.window for other in chosen):
                 continue
             together = _sizes([*chosen, test], days)
-            gains = np.log([together[error] / size for error, size in sizes.items()])
-            # what one error gains, the wider bounds of all tests must not take from the others
-            if gains.min() < math.log(GAIN) and gains.mean() < 0:
-                joined.append((gains.mean(), test))
+            shares = np.array([together[error] / size for error, size in sizes.items()])
+            # what one error gains the wider bounds of all tests must not take from the others
+            if shares.min() < GAIN and np.log(shares).sum() < 0:
+                joined.append((np.log(shares).sum(), test))
         if not joined:
             return tuple(chosen)
         chosen.append(min(joined, key=itemgetter(0))[1])
@@ -228,9 +218,9 @@ def _sizes(tests: Sequence[JudgedTest], days: int) -> dict[tuple[str, str], floa
     factor = factor_of(largest_of([test.left_out for test in tests]), days)
     sizes: dict[tuple[str, str], float] = {}
     for test in tests:
-        for kind, own in (("jump", test.jump), ("steady", test.steady), ("ramp", test.ramp)):
-            for output, size in own.items():
-                size = min(size * factor / test.factor, NEVER)
+        wide = test.times(factor / test.factor)
+        for kind in ("jump", "steady", "ramp"):
+            for output, size in getattr(wide, kind).items():
                 sizes[kind, output] = min(size, sizes.get((kind, output), NEVER))
         if test.reach:
             sizes["samples", ""] = min(1 / test.reach, sizes.get(("samples", ""), NEVER))

@@ -80,6 +80,13 @@ class JudgedTest(NamedTuple):
     reach: float = 0.0
     left_out: tuple[float, ...] = ()
 
+    def times(self, wider: float) -> "JudgedTest":
+        """Return the test under bounds so many times as wide."""
+        sizes = {}
+        for kind in ("jump", "steady", "ramp"):
+            sizes[kind] = {output: wider * size for output, size in getattr(self, kind).items()}
+        return self._replace(factor=wider * self.factor, **sizes)
+
 
 @dataclass(frozen=True, eq=False)
 class TriedTest:
