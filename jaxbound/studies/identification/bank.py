@@ -43,8 +43,6 @@ GAIN = 0.8
 """A test earns its place where it sees an error from this share of the size on that the others need."""
 SOON = 8
 """Samples within which an observer is to see a jump."""
-NEVER = 1e300
-"""The size of an error that no test sees, however large."""
 
 
 def fitted_bank(
@@ -95,7 +93,7 @@ def fitted_bank(
             notes.append(
                 f"the observer is none of the tests: nothing says what it would see, {end}; {SMALLER}"
             )
-    picked = earned(tests, training.days)
+    picked = earned(tests, training.days, training.span_of)
     if asked.disturbances is not None and all(test.window.observer is None for test in picked):
         notes.append(
             "the bounds of disturbances are left out: windows alone see errors about as small; a fit for the "
@@ -132,7 +130,7 @@ def _listing(check: FitCheck, tests: Sequence[JudgedTest], taken: Sequence[Judge
     """Return the check with the tests that were tried, one of each windows: that which is taken, else the
     best.
     """
-    shown = dict.fromkeys(test.window for test in tests)
+    shown = {test.window: test for test in tests}  # in the order in which they were tried
     best_last = sorted(tests, key=attrgetter("blindness"), reverse=True)
     shown |= {test.window: test for test in (*best_last, *taken)}
     return dataclasses.replace(check, tests=tuple(shown.values()))
@@ -186,45 +184,46 @@ def _beside(base: LinearSystem, watched: LinearSystem) -> LinearSystem:
     return watched.replace(horizon=base.horizon, left_out=left_out)
 
 
-def earned(tests: Sequence[JudgedTest], days: int) -> tuple[JudgedTest, ...]:
+def earned(tests: Sequence[JudgedTest], days: int, spans: Mapping[str, float]) -> tuple[JudgedTest, ...]:
     """Return the best test, and behind it those that beside all before them see clearly smaller errors, at
     the factor that all need together.
 
     Args:
-        days: recordings of the fit.
+        days: recordings of the fit. spans: {output: how far it moves}.
     """
     chosen = [best_test(tests)]
     while True:
-        sizes = _sizes(chosen, days)
+        before = _sizes(chosen, days, spans)
         joined: list[tuple[float, JudgedTest]] = []
         for test in tests:
             if any(test.window == other.window for other in chosen):
                 continue
-            together = _sizes([*chosen, test], days)
-            shares = np.array([together[error] / size for error, size in sizes.items()])
+            sizes = _sizes([*chosen, test], days, spans)
+            shares = np.array([sizes[error] / size for error, size in before.items()])
             # what one error gains the wider bounds of all tests must not take from the others
-            if shares.min() < GAIN and np.log(shares).sum() < 0:
-                joined.append((np.log(shares).sum(), test))
+            if shares.min() < GAIN and shares.prod() < 1:
+                joined.append((shares.prod(), test))
         if not joined:
             return tuple(chosen)
         chosen.append(min(joined, key=itemgetter(0))[1])
 
 
-def _sizes(tests: Sequence[JudgedTest], days: int) -> dict[tuple[str, str], float]:
-    """Return {(kind, output): the size from which on one of the tests sees an error} at the factor that they
-    need together; beyond any size where none does. A verdict on few samples counts as an error that is seen
-    late.
+def _sizes(
+    tests: Sequence[JudgedTest], days: int, spans: Mapping[str, float]
+) -> dict[tuple[str, str], float]:
+    """Return {(kind, output): the size from which on one of the tests sees an error}, the span at most, at
+    the factor that they need together. A verdict on few samples counts as an error that is seen late.
     """
     factor = factor_of(largest_of([test.left_out for test in tests]), days)
-    sizes: dict[tuple[str, str], float] = {}
+    least: dict[tuple[str, str], float] = {}
     for test in tests:
-        wide = test.times(factor / test.factor)
-        for kind in ("jump", "steady", "ramp"):
-            for output, size in getattr(wide, kind).items():
-                sizes[kind, output] = min(size, sizes.get((kind, output), NEVER))
-        if test.reach:
-            sizes["samples", ""] = min(1 / test.reach, sizes.get(("samples", ""), NEVER))
-    return sizes
+        sizes = test.times(factor / test.factor).sizes
+        for (kind, output), size in sizes.items():
+            least[kind, output] = min(size, least.get((kind, output), spans[output]))
+    reach = max(test.reach for test in tests)
+    if reach:
+        least["samples", ""] = 1 / reach
+    return least
 
 
 def test_as_fitted(

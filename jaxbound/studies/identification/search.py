@@ -206,7 +206,7 @@ def _check(
         jump=jump,
         steady=steady,
         follows=trial.follows,
-        moved=dict(zip(training.outputs, map(float, training.spans), strict=True)),
+        moved=training.span_of,
     )
 
 

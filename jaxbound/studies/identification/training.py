@@ -80,6 +80,11 @@ class Training:
         y = np.concatenate([y for _, y, _ in self.records])
         return tuple(np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
 
+    @property
+    def span_of(self) -> dict[str, float]:
+        """{output: how far it moves}."""
+        return dict(zip(self.outputs, map(float, self.spans), strict=True))
+
     @cached_property
     def ranges(self) -> dict[str, tuple[float, float]]:
         """The lowest and the highest number of each input; of one that never moved the number twice."""

@@ -35,9 +35,9 @@ RANK = 1e-9
 """Share of the largest below which nothing is said of a direction by any of them."""
 AVERAGES = 0.95
 """Share of the bound of a sample from which on that of a mean says nothing."""
-FEW_DAYS = 1.5
+FEW_DAYS = 1.25
 """Factor for two recordings on top of what they ask for, its root of order n - 1 for n: a fit to one of two
-says little of the next, and in simulated plants (`benchmarks.tomorrow`) half of all days asked for more.
+says little of the next, and in simulated plants half of all days asked for more.
 """
 
 
@@ -147,7 +147,7 @@ def factor_of(asked: Sequence[float], days: int) -> float:
         asked: by each part, nan where it is not known. days: how many recordings there are.
 
     Example:
-        >>> round(factor_of((1.0, 4.0, 0.5), 3) / 1.5 ** (1 / 2), 6) == round(4 ** (1 / 3), 6)
+        >>> round(factor_of((1.0, 4.0, 0.5), 3) / 1.25 ** (1 / 2), 6) == round(4 ** (1 / 3), 6)
         True
     """
     if not len(asked):

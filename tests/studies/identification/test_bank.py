@@ -13,6 +13,9 @@ from jaxbound.studies.identification.trial import factor_of, largest_of
 from jaxbound.studies.identification.window_tests import JudgedTest, WindowChoice
 
 
+SPANS = {"y1": 10.0}
+
+
 def judged(horizon, jump, steady, blindness):
     sizes = {"y1": jump}, {"y1": steady}
     return JudgedTest(WindowChoice(horizon), "windows", 1.0, {}, {}, *sizes, blindness)
@@ -20,17 +23,17 @@ def judged(horizon, jump, steady, blindness):
 
 def test_a_test_that_sees_clearly_smaller_errors_earns_its_place():
     short, long = judged(15, 1.0, 9.0, 2.0), judged(60, 3.0, 7.0, 1.0)
-    assert earned([short, long], 3) == (long, short)
+    assert earned([short, long], 3, SPANS) == (long, short)
 
 
 def test_a_test_that_sees_hardly_smaller_errors_does_not():
     best, other = judged(15, 1.0, 9.0, 1.0), judged(60, 0.81, 7.3, 2.0)
-    assert earned([best, other], 3) == (best,)
+    assert earned([best, other], 3, SPANS) == (best,)
 
 
 def test_a_test_that_sees_what_no_other_sees_earns_its_place():
-    blind, seeing = judged(15, 1.0, np.inf, 1.0), judged(60, 4.0, 1e6, 2.0)
-    assert earned([blind, seeing], 3) == (blind, seeing)
+    blind, seeing = judged(15, 1.0, np.inf, 1.0), judged(60, 4.0, 7.0, 2.0)
+    assert earned([blind, seeing], 3, SPANS) == (blind, seeing)
 
 
 def test_an_observer_earns_its_place_by_a_ramp_and_stands_behind_windows():
@@ -39,25 +42,28 @@ def test_an_observer_earns_its_place_by_a_ramp_and_stands_behind_windows():
     watching = JudgedTest(
         WindowChoice(0, observer="joint"), "windows", 1.0, {}, {}, *sizes, np.inf, {"y1": 5.0}
     )
-    assert earned([watching, short], 3) == (short, watching)
-    assert earned([watching._replace(ramp={"y1": 7.0}), short], 3) == (short,)
+    assert earned([watching, short], 3, SPANS) == (short, watching)
+    assert earned([watching._replace(ramp={"y1": 7.0}), short], 3, SPANS) == (short,)
 
 
 def test_a_short_test_earns_its_place_where_a_long_one_has_no_verdict_on_many_samples():
     short, long = judged(7, 4.0, 9.0, 2.0)._replace(reach=0.7), judged(60, 1.0, 2.0, 1.0)
-    assert earned([short, long._replace(reach=0.2)], 3) == (long._replace(reach=0.2), short)
-    assert earned([short, long._replace(reach=0.6)], 3) == (long._replace(reach=0.6),)
+    assert earned([short, long._replace(reach=0.2)], 3, SPANS) == (long._replace(reach=0.2), short)
+    assert earned([short, long._replace(reach=0.6)], 3, SPANS) == (long._replace(reach=0.6),)
 
 
 def test_a_test_that_asks_for_wider_bounds_of_all_must_be_worth_it():
     """One factor is that of the bank: what a test sees that asks for much, the others pay for."""
     short, long = judged(15, 1.0, 9.0, 1.0), judged(60, 4.0, 6.0, 2.0)
     calm, wide = (1.0, 1.0, 1.0), (1.0, 4.0, 4.0)
-    assert earned([short._replace(left_out=calm), long._replace(left_out=calm)], 3)[1].window.horizon == 60
+    assert (
+        earned([short._replace(left_out=calm), long._replace(left_out=calm)], 3, SPANS)[1].window.horizon
+        == 60
+    )
     # seen at its own factor, 6.0 is what the short one never shows; beside it the jump would be 2.5
     long = long._replace(left_out=wide, factor=factor_of(wide, 3))
     short = short._replace(left_out=calm, factor=factor_of(calm, 3))
-    assert earned([short, long], 3) == (short,)
+    assert earned([short, long], 3, SPANS) == (short,)
 
 
 def test_a_bank_asks_of_each_recording_what_its_widest_test_does():
