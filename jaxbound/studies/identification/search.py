@@ -87,6 +87,7 @@ class Unwritten:
         if not self.complete:
             sentences.append(advice.COMPLETE_ONLY)
         sentences += advice.data_limits(model, check, problem.recipe.held_out)
+        sentences += advice.alike(training.records, training.inputs, check)
         sentences = [*advice.blind(model, check), *sentences]
         return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences)))
 
