@@ -181,8 +181,8 @@ def alike(records: Records, inputs: Sequence[str], check: FitCheck) -> Iterator[
     within = np.mean([np.nanstd(u, axis=0) for u, _, _ in records], axis=0)
     if (np.ptp(means, axis=0) <= ALIKE * within).all():
         yield (
-            f"the {len(records)} recordings are alike, on average every input is about the same in each: what "
-            f"an unlike day asks for, a cold one or one of another load, is unknown; record one"
+            f"the {len(records)} recordings are alike, every input is about the same on average: what a day "
+            f"unlike them asks for, a cold one or of another load, is unknown; record one, and {SEVERAL}"
         )
 
 

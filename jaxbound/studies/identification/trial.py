@@ -147,14 +147,24 @@ def factor_of(asked: Sequence[float], days: int) -> float:
         asked: by each part, nan where it is not known. days: how many recordings there are.
 
     Example:
-        >>> round(factor_of((1.0, 4.0, 0.5), 3) / 1.25 ** (1 / 2), 6) == round(4 ** (1 / 3), 6)
-        True
+        >>> round(factor_of((1.0, 8.0, 0.5), 3) / few_days(3), 6)
+        2.0
     """
     if not len(asked):
         return 1.0
     logs = [np.log(max(one, 1.0)) for one in asked if np.isfinite(one)]
     mean = np.mean(logs or [0.0])
-    return float(np.exp(mean) * FEW_DAYS ** (1 / max(days - 1, 1)))
+    return float(np.exp(mean)) * few_days(days)
+
+
+def few_days(days: int) -> float:
+    """Return the factor for few recordings.
+
+    Example:
+        >>> few_days(2), round(few_days(5), 3)
+        (1.25, 1.057)
+    """
+    return float(FEW_DAYS ** (1 / max(days - 1, 1)))
 
 
 def tried(problem: FitProblem, kind: str, weight: float = 0.0) -> Trial:

@@ -12,7 +12,6 @@ from jaxbound.studies.identification.bounds import rounded_up
 from jaxbound.studies.identification.trial import factor_of, largest_of
 from jaxbound.studies.identification.window_tests import JudgedTest, WindowChoice
 
-
 SPANS = {"y1": 10.0}
 
 
