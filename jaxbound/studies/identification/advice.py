@@ -164,7 +164,7 @@ def _left_out(model: LinearSystem, check: FitCheck, held_out: float) -> Iterator
                 f"{what} {number} says nothing of another day: {one.why}; record more, or cut a long "
                 f"recording into files, and {SEVERAL}"
             )
-    factor = max((one.factor for one in check.left_out if not one.why), default=1.0)
+    factor = _largest(check)
     if factor > WIDE:
         yield (
             f"a {what} that is left out needs bounds {factor:.2f} times as wide as all together: they "
@@ -172,14 +172,20 @@ def _left_out(model: LinearSystem, check: FitCheck, held_out: float) -> Iterator
         )
 
 
+def _largest(check: FitCheck) -> float:
+    """Return the largest factor that a part asks for; 1 where none is known."""
+    return max((one.factor for one in check.left_out if not one.why), default=1.0)
+
+
 def alike(records: Records, inputs: Sequence[str], check: FitCheck) -> Iterator[str]:
     """Yield a sentence where several recordings ask for nothing, left out, and are at one operating point."""
-    known = [one.factor for one in check.left_out if not one.why]
-    if len(records) < 2 or not inputs or max(known, default=math.inf) > WIDE:
+    if len(records) < 2 or not inputs or _largest(check) > WIDE:
         return
-    means = np.array([np.nanmean(u, axis=0) for u, _, _ in records])
-    within = np.mean([np.nanstd(u, axis=0) for u, _, _ in records], axis=0)
-    if (np.ptp(means, axis=0) <= ALIKE * within).all():
+    means, within = [], []
+    for u, _, _ in records:
+        means.append(np.nanmean(u, axis=0))
+        within.append(np.nanstd(u, axis=0))
+    if (np.ptp(means, axis=0) <= ALIKE * np.mean(within, axis=0)).all():
         yield (
             f"the {len(records)} recordings are alike, every input is about the same on average: what a day "
             f"unlike them asks for, a cold one or of another load, is unknown; record one, and {SEVERAL}"

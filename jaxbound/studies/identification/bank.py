@@ -1,8 +1,9 @@
 """Several tests from one fit: a monitor whose tests see what the others miss.
 
-The test that sees the smallest errors comes first, see `window_tests`. Each further one earns its place: it
-sees a jump or a lasting error of some output from clearly smaller sizes on than all tests before it, under
-bounds as wide as recordings that are left out ask of it: a jump, an error that lasts, or a ramp. A set
+The test that sees the smallest errors comes first, see `window_tests`. Each further one earns its place:
+beside those before it a jump, a lasting error or a ramp of some output is seen from clearly smaller sizes on,
+under bounds as wide as recordings that are left out ask of all of them together. One factor widens the bounds
+of all tests, so none is kept because its own was small by luck. A set
 observer is tried beside the windows where one is asked for, or bounds of disturbances; it is latched, so that
 a lasting error stays a FAULT. A short test also earns its place where a long one has no verdict on many
 samples. Each test has the coefficients and the bounds of a fit of its own.
@@ -11,7 +12,7 @@ samples. Each test has the coefficients and the bounds of a fit of its own.
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -130,9 +131,11 @@ def _listing(check: FitCheck, tests: Sequence[JudgedTest], taken: Sequence[Judge
     """Return the check with the tests that were tried, one of each windows: that which is taken, else the
     best.
     """
-    shown = {test.window: test for test in tests}  # in the order in which they were tried
-    best_last = sorted(tests, key=attrgetter("blindness"), reverse=True)
-    shown |= {test.window: test for test in (*best_last, *taken)}
+    shown: dict[WindowChoice, JudgedTest] = {}
+    for test in tests:  # in the order in which they were tried
+        shown[test.window] = best_test([test, shown.get(test.window, test)])
+    for test in taken:
+        shown[test.window] = test
     return dataclasses.replace(check, tests=tuple(shown.values()))
 
 

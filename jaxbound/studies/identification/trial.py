@@ -136,7 +136,7 @@ def largest_of(tests: Sequence[Sequence[float]]) -> tuple[float, ...]:
         >>> largest_of([(1.1, 0.9), (float("nan"), 1.3)])
         (1.1, 1.3)
     """
-    return tuple(np.fmax.reduce([one for one in tests if len(one)] or [()]).tolist())
+    return tuple(np.fmax.reduce(list(filter(len, tests)) or [()]).tolist())
 
 
 def factor_of(asked: Sequence[float], days: int) -> float:
@@ -152,9 +152,9 @@ def factor_of(asked: Sequence[float], days: int) -> float:
     """
     if not len(asked):
         return 1.0
-    logs = [np.log(max(one, 1.0)) for one in asked if np.isfinite(one)]
-    mean = np.mean(logs or [0.0])
-    return float(np.exp(mean)) * few_days(days)
+    known = np.array(asked)[np.isfinite(asked)]
+    mean = np.exp(np.log(np.maximum(known, 1)).mean()) if len(known) else 1.0
+    return float(mean) * few_days(days)
 
 
 def few_days(days: int) -> float:

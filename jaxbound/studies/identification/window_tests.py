@@ -127,8 +127,9 @@ def blindness(sizes: Mapping[tuple[str, str], float], spans: Mapping[str, float]
         >>> round(blindness({("jump", "T1"): 2.0, ("ramp", "T1"): 1e9}, {"T1": 8.0}), 6)
         0.5
     """
-    shares = [min(size / spans[output], 1.0) for (_, output), size in sizes.items()]
-    return float(np.exp(np.mean(np.log(shares))))
+    own = np.array([spans[output] for _, output in sizes])
+    shares = np.minimum(list(sizes.values()) / own, 1)
+    return float(np.exp(np.log(shares).mean()))
 
 
 def best_test(tests: Sequence[JudgedTest]) -> JudgedTest:
