@@ -47,7 +47,7 @@ def verified(
     """
     records, factor = training.records, trial.factor
     spec = trial.candidate.spec | {"ranges": training.ranges}
-    if any(np.isfinite(one.factor) for one in trial.left):
+    if np.isfinite(trial.asked).any():
         spec["left_out"] = stated(factor)
     several = "s" * (len(records) > 1)
     source = f"fitted to {measured_count(records)} samples in {len(records)} recording{several}"

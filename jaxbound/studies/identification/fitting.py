@@ -61,7 +61,8 @@ def fit(
 
     The smallest bounds are those under which every window of the recordings is consistent, in the ratio of
     the outputs' residuals: `tune` moves each by its own. Each recording in turn is then judged by a fit to
-    all others: by the largest factor that one of them asks for the bounds are wider, and by `safety` on top.
+    all others: by the geometric mean of the factors that they ask for, each of the test that asks most, the
+    bounds of all tests are wider, somewhat more for few recordings, and by `safety` on top.
     They are verified: `detect` finds every window CONSISTENT, or an observer no FAULT. Of n recordings that
     are like the next one, one in n + 1 may still ask for more.
 
@@ -125,7 +126,7 @@ def fit(
     if can_choose or plan.test is not None:
         model = fitted_bank(training, plan, sentences, report)
     else:
-        model = fitted(training, plan, None, sentences, report)
+        model = fitted(training, plan, sentences, report)
     return Fitted(model, dataclasses.replace(model.check, signals=signals, recipe=plan))
 
 

@@ -64,6 +64,11 @@ class Training:
         """Return the recordings with the times of their samples."""
         return read_each(self.recordings, self.inputs, self.outputs, self.columns, None)
 
+    @property
+    def days(self) -> int:
+        """How many recordings there are."""
+        return len(self.records)
+
     @cached_property
     def scales(self) -> Scales:
         """The middle and the spread of each signal."""
@@ -74,6 +79,11 @@ class Training:
         """How far each output moves, between its lowest and its highest sample."""
         y = np.concatenate([y for _, y, _ in self.records])
         return tuple(np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
+
+    @property
+    def span_of(self) -> dict[str, float]:
+        """{output: how far it moves}."""
+        return dict(zip(self.outputs, map(float, self.spans), strict=True))
 
     @cached_property
     def ranges(self) -> dict[str, tuple[float, float]]:
