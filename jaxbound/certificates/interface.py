@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxbound.certificates.checker.solver_texts import smt2, vipr
 from jaxbound.certificates.diagnosis import Diagnosis
+from jaxbound.consistency.extrapolated import extrapolated
 from jaxbound.consistency.interface import Relations
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.sets.floats.status import Status
@@ -220,6 +221,11 @@ def certify(
         ValueError: no relation has its data. NotImplementedError: a verdict that one relation or one
             behaviour cannot prove.
     """
+    wide = None
+    if isinstance(relations, Relations):
+        wide = extrapolated(relations)
+    if wide is not None and wide.region.departure(np.asarray(u), np.zeros(len(y), bool)).share[-1] > 0:
+        relations = wide.relations
     return certificate_of(relations, u, y, status, at or (len(y) - 1,))
 
 
