@@ -1,7 +1,8 @@
 """The region of training: between which ends each input of a model moved in the data that it was fitted to.
 
-Bounds that were found from data hold where the data were. A window that reads inputs outside of them is
-judged as any other; what is said of it rests on extrapolation.
+Bounds that were found from data hold where the data were. A window that reads inputs outside of them has
+bounds that are wider by a factor of the model (`consistency.extrapolated`); what is said of it rests on
+extrapolation.
 """
 
 from collections.abc import Mapping

@@ -201,7 +201,8 @@ def test_as_fitted(
             of the test beside its name and its model.
     """
     if base.extrapolation and not fitted.extrapolation:  # a field that a test cannot take away
-        fitted = fitted.replace(extrapolation=1)  # type: ignore[assignment]
+        origins = {**fitted.provenance, "extrapolation": "assumed: no window outside was left out"}
+        fitted = fitted.replace(extrapolation=1, provenance=origins)
     mine, theirs = (model_document(x.replace(tests=None)) for x in (base, fitted))
     (test,) = stated_tests([{"name": name, **(about or {}), "model": changes_between(mine, theirs)}])
     own = model_of(base, test)
