@@ -200,7 +200,7 @@ class WindowCertificate:
 
 
 def certify(
-    relations: object,
+    relations: Relations,
     u: np.ndarray,
     y: np.ndarray,
     *,
@@ -223,9 +223,10 @@ def certify(
             behaviour cannot prove.
     """
     at = at or (len(y) - 1,)
-    if status != Status.FAULT and isinstance(relations, Relations):
-        wide = extrapolated(relations)
-        if wide is not None and wide.region.departure(np.asarray(u), np.zeros(len(y), bool)).share[-1] > 0:
+    wide = extrapolated(relations)
+    if wide is not None and status != Status.FAULT:
+        departure = wide.region.departure(np.asarray(u), np.zeros(len(y), bool))
+        if departure.share[-1] > 0:
             beyond = certificate_of(wide.relations, u, y, status, at)
             if beyond.proves != Status.FAULT:
                 return beyond

@@ -28,9 +28,9 @@ class Extrapolated(NamedTuple):
 
 
 def extrapolated(relations: Relations) -> Extrapolated | None:
-    """Return what relations are outside of training; None: bounds there are as they are inside."""
-    model = relations.model
-    if relations.remembers or not isinstance(model, LinearSystem) or (model.extrapolation or 1) == 1:
+    """Return relations as they are outside of training; None: bounds there are as they are inside."""
+    model = getattr(relations, "model", None)  # kinds of proofs know relations of others
+    if not isinstance(model, LinearSystem) or (model.extrapolation or 1) == 1 or relations.remembers:
         return None
     region = Region.of(relations)
     if region is None:

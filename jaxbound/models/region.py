@@ -115,9 +115,9 @@ class Region:
     ) -> "Region":
         """Return the region of windows of a model, between the ends of some of its inputs."""
         nowhere = (np.nan, np.nan)
-        ends = np.array([ranges.get(name, nowhere) for name in model.inputs], float)
+        lo, hi = np.array([ranges.get(name, nowhere) for name in model.inputs], float).reshape(-1, 2).T
         units = tuple(map(model.unit, model.inputs))
-        return cls(model.inputs, units, *ends.reshape(-1, 2).T, horizon, input_lags(model, horizon))
+        return cls(model.inputs, units, lo, hi, horizon, input_lags(model, horizon))
 
     def departure(self, u: np.ndarray, missing: np.ndarray) -> Departure:
         """Return how far each window lies outside.

@@ -33,7 +33,7 @@ class Extrapolation(NamedTuple):
 
 
 def extrapolation(trial: Trial, training: Training) -> Extrapolation | None:
-    """Return what windows outside the ranges of other recordings ask for; None: nothing tells it."""
+    """Return the factor that windows outside the ranges of other recordings ask for; None: none are known."""
     logs, windows, records = [], 0, training.records
     if len(trial.left) != len(records):
         return None
