@@ -86,6 +86,7 @@ FIELDS: Mapping[str, Mapping[str, ValueKind]] = {
         "horizon": WHOLE,
         "lags": LAGS,
         "left_out": NUMBER,
+        "extrapolation": NUMBER,
         "time": TEXT,
         "where": TEXT,
         "constant_tolerance": TRUTH,
@@ -170,6 +171,7 @@ def _stated(model: LinearSystem) -> dict[str, list[Table]]:
         "horizon": model.horizon,
         "lags": model.lags,
         "left_out": model.left_out,
+        "extrapolation": model.extrapolation,
         "constant_tolerance": model.constant_tolerance or None,
         "states": [(name, model.units.get(name)) for name in model.states],
     }
@@ -245,7 +247,7 @@ def model_arguments(document: Table) -> dict[str, Any]:
     top = {name: kind.read(name, "", document[name]) for name, kind in FIELDS[""].items() if name in document}
     arguments = _of_signals(tables) | _assembled(top, tables)
     arguments["columns"] |= {name: top[name] for name in READ_BY if name in top}
-    for name in ("name", "lags", "left_out", "constant_tolerance"):
+    for name in ("name", "lags", "left_out", "extrapolation", "constant_tolerance"):
         if name in top:
             arguments[name] = top[name]
     tests = stated_tests(as_list("test", document.get("test", [])))
