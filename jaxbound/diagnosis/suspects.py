@@ -8,9 +8,10 @@ one that is named. That is no proof; it speaks for a repair, and changes no verd
 """
 
 import math
+from collections.abc import Sequence
 from fractions import Fraction
 from itertools import accumulate
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -36,6 +37,12 @@ class Suspect(NamedTuple):
     size: float = math.nan
     jump: int = 0
     cause: str = ""
+
+    @classmethod
+    def of(cls, memory: Sequence[Any]) -> "Suspect":
+        """Return the suspects that a memory, as JSON holds it, has."""
+        names, *others = memory
+        return cls(tuple(names), *others)
 
     @property
     def first(self) -> str:
