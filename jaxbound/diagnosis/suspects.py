@@ -88,13 +88,16 @@ def nameless(relations: Relations) -> str:
     return ""
 
 
-def suspect_of_window(relations: Relations, u: np.ndarray, y: np.ndarray) -> Suspect:
-    """Return the suspects of the FAULT window that samples u (s+1, m), y (s+1, p) are."""
+def suspect_of_window(relations: Relations, u: np.ndarray, y: np.ndarray, first: str = "") -> Suspect:
+    """Return the suspects of the FAULT window that samples u (s+1, m), y (s+1, p) are. first: comes first if
+    it is one of them.
+    """
     try:
         certificate = certify(relations, u, y, status=Status.FAULT)
     except NotImplementedError:  # no proof by one relation
         return UNKNOWN
     names, cause = certificate.candidates, _cause(certificate)
+    names = tuple(sorted(names, key=first.__ne__))
     if not names:
         return UNKNOWN._replace(cause=cause)
     errors = certificate.errors

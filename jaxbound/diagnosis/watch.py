@@ -394,9 +394,7 @@ class Watch:
         )
         return [Raised(*row) for row in zip(*map(np.ndarray.tolist, columns), strict=True)], left
 
-    def _follow(
-        self, seen: Seen, alarms: list[Raised], begun: int, over: int, sure: int | None
-    ) -> None:
+    def _follow(self, seen: Seen, alarms: list[Raised], begun: int, over: int, sure: int | None) -> None:
         """Give stretches to the alarms of their suspects, and follow the runs of the next samples.
 
         Args:
