@@ -256,8 +256,14 @@ class Watch:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether no alarm is on, no run, and none of the last flags counts for one."""
+        """Whether no alarm and no run is on, and none of the last flags counts for one."""
         return self.open is None and not self.alarms and not self.running and not self.before.any()
+
+    def _open_run(self) -> int:
+        """Return the first sample of the run that the stretch which is on began with; -1: none is on."""
+        if self.open is None:
+            return -1
+        return self.open.run
 
     def _on(self) -> str | None:
         """Return the suspect of the stretch that is on; None: none is."""
@@ -277,9 +283,7 @@ class Watch:
         if self.is_quiet and not seen.proved.any():
             self.skip(len(seen.fault))
             return
-        if self.rule.names:
-            seen = self._numbered(seen)
-        everything, offset = seen.behind(self.tail), self.samples - len(self.tail.fault)
+        everything, offset = self._numbered(seen).behind(self.tail), self.samples - len(self.tail.fault)
         alarms, left = self._stretches(everything, seen.fault, offset, sure)
         if before is not None:
             alarms[0] = before.joined(alarms[0])
@@ -305,6 +309,8 @@ class Watch:
 
     def _numbered(self, seen: Seen) -> Seen:
         """Return the next samples with the runs that they lie in, or behind."""
+        if not self.rule.names:
+            return seen
         begins = seen.proved & ~np.append(self.running, seen.proved)[:-1]
         starts = np.where(begins, self.samples + np.arange(len(begins)), -1)
         return seen._replace(run=np.maximum.accumulate(np.append(self.latest, starts))[1:])
@@ -339,19 +345,18 @@ class Watch:
         ends, left = np.minimum(until + self.rule.hold, len(seen.fault) - 1), None
         if sure is None and len(seen.fault) - 1 - until[-1] < self.reach:
             ends[-1] = left = int(until[-1])
-        known = until + self.reach + offset
+        sure_from = until + self.reach + offset
         if sure is not None:
-            known = np.full(len(starts), sure)
+            sure_from = np.full(len(starts), sure)
         if self.rule.names:  # a stretch is cut at the first window that counts of another run
             counted = on[seen.fault[on]]
-            former = self.open.run if self.open is not None else -1
-            turns = counted[np.diff(seen.run[counted], prepend=former) != 0]
-            begins = np.union1d(starts, turns)
-            of = np.searchsorted(starts, begins, "right") - 1
-            following = np.append(begins[1:], len(seen.fault))
+            turns = counted[np.diff(seen.run[counted], prepend=self._open_run()) != 0]
+            all_starts = np.union1d(starts, turns)
+            of = np.searchsorted(starts, all_starts, "right") - 1
+            following = np.append(all_starts[1:], len(seen.fault))
             is_cut = following <= ends[of]
-            known = np.where(is_cut, following + offset, known[of])
-            starts, ends = begins, np.where(is_cut, following - 1, ends[of])
+            sure_from = np.where(is_cut, following + offset, sure_from[of])
+            starts, ends = all_starts, np.where(is_cut, following - 1, ends[of])
         lengths = ends - starts + 1
         first = np.cumsum(lengths) - lengths
         owner = np.repeat(np.arange(len(starts)), lengths)
@@ -379,7 +384,7 @@ class Watch:
             made[np.searchsorted(made, starts - n + 1)] + offset,
             last + offset,
             after[ends + 1],
-            known,
+            sure_from,
             np.add.reduceat((share > 0).astype(np.int64), first),
             seen.share[farthest],
             seen.by[farthest].astype(np.int64),
@@ -404,9 +409,13 @@ class Watch:
         steps: list[tuple[int, int, int]] = []  # what happens at the same sample does in this order
         was_on = np.append(self.running, seen.proved)
         for at in np.flatnonzero(was_on[1:] != was_on[:-1]).tolist():
-            steps.append((self.samples + at, RUN_BEGINS if seen.proved[at] else RUN_ENDS, at))
-        if sure is not None and was_on[-1]:
-            steps.append((self.samples + len(seen.proved), RUN_ENDS, len(seen.proved)))
+            kind = (RUN_ENDS, RUN_BEGINS)[int(seen.proved[at])]
+            steps.append((self.samples + at, kind, at))
+        last = stop = self.samples + len(seen.proved)
+        if sure is not None:
+            last = sure
+            if was_on[-1]:
+                steps.append((stop, RUN_ENDS, len(seen.proved)))
         for i, alarm in enumerate(alarms):
             if i >= begun:
                 steps.append((alarm.start, BEGINS_HERE, i))
@@ -417,7 +426,7 @@ class Watch:
             if kind == RUN_BEGINS:
                 self._run_begins(sample, int(tests[i + 1]))
             elif kind == RUN_ENDS:
-                self._run_ends(sample - 1, int(tests[i]), sample if sure is None else sure)
+                self._run_ends(sample - 1, int(tests[i]), min(sample, last))
             elif kind == BEGINS_HERE:
                 alarms[i] = self._begin(alarms[i])
             else:
@@ -478,9 +487,9 @@ class Watch:
     def _close(self, stretch: Raised) -> None:
         """Give a stretch that is over to its alarm."""
         name = stretch.suspect.first
-        others = [start for start, run in self.runs.items() if run.suspect.first != name]
-        behind = [start for start in others if stretch.run < start <= stretch.end]
-        stretch = stretch._replace(own=min([stretch.end + 1, *behind]) - 1)
+        for start, run in self.runs.items():
+            if run.suspect.first != name and start > stretch.run:
+                stretch = stretch._replace(own=min(stretch.own, start - 1))
         alarm = self.alarms[name]
         both = alarm.joined(stretch)
         if not alarm.windows:

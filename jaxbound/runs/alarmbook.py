@@ -280,8 +280,9 @@ class LiveAlarms(TimedAlarms):
         if self.watch.open is not None:
             on.append(self.watch.open)
         kept = {}
-        for worst in {alarm.worst for alarm in on}:
-            kept[worst] = self.worst.get(worst) or self.samples(worst - self.relations.reach, worst + 1)
+        for alarm in on:
+            first, stop = alarm.worst - self.relations.reach, alarm.worst + 1
+            kept[alarm.worst] = self.worst.get(alarm.worst) or self.samples(first, stop)
         self.worst = kept
 
     def of(self, piece: Recording, verdicts: Verdicts) -> bytes:
@@ -315,7 +316,8 @@ class LiveAlarms(TimedAlarms):
         self.u, self.y = from_texts((self.u, self.y), memory["samples"])
         self.begin = self.watch.samples - self.width
         like = self.u[: self.relations.reach + 1], self.y[: self.relations.reach + 1]
-        self.worst = {sample: from_texts(like, texts) for sample, texts in memory["worst"]}
+        for sample, texts in memory["worst"]:
+            self.worst[sample] = from_texts(like, texts)
 
     def _notice(self, event: Event) -> dict[str, Any]:
         """Return the notice of the begin or the end of an alarm."""

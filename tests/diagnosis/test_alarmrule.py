@@ -227,7 +227,7 @@ def test_the_size_of_an_alarm_is_that_of_its_worst_window():
         [0.5],
         [1.5],
         [0.5],
-    ]  # 0 - 1 = -1; .5 - 3 = -2.5; 1.5 - 1 = .5: errors of .23, .73, .07
+    ]  # off by 1, 2.5 and .5: errors of .23, .73 and .07
     (alarm,) = jb.detect(one(), None, y).alarms(rule=AlarmRule(latch=True))
     assert (alarm.start, alarm.worst) == (2, 3) and alarm.size == pytest.approx(2.2 / 3)
     assert alarm.size == float(alarm.errors["T1"])
