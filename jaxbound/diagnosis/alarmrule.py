@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from jaxbound.diagnosis.acknowledged import Acknowledged, Times
-from jaxbound.models.statedalarms import stated_alarms
+from jaxbound.models.statedalarms import PLAIN, stated_alarms
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.signals import SignalModel
@@ -172,7 +172,8 @@ def stated_rule(said: Stated, model: LinearSystem, file: str | PathLike[str]) ->
     """Return a rule as it is, or that of a model with other fields, if any are said.
 
     Args:
-        said: see `Stated`. file: of the model, beside which its file of acknowledgements is.
+        said: see `Stated`; "plain" in place of k/n: nothing that the model states. file: of the model,
+            beside which its file of acknowledgements is.
 
     Raises:
         ValueError: fields that make no rule.
@@ -182,8 +183,12 @@ def stated_rule(said: Stated, model: LinearSystem, file: str | PathLike[str]) ->
     table = dict(model.alarms)
     if "acknowledged" in table:
         table["acknowledged"] = Path(file).parent / table["acknowledged"]
-    table |= stated_alarms(said, "--alarm")
-    k, _, n = table.pop("rule", "1/1").partition("/")
+    told = stated_alarms(said, "--alarm")
+    if told.get("rule") == PLAIN:
+        table = {}
+    table |= told
+    rule = table.pop("rule", PLAIN).replace(PLAIN, "1/1")
+    k, _, n = rule.partition("/")
     return AlarmRule(int(k), int(n), **table)
 
 

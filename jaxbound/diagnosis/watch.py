@@ -27,6 +27,10 @@ ACKNOWLEDGED = "acknowledged"
 LASTING = "open at the end: nothing speaks for a repair"
 BEGINS, ENDS = "begins", "ends"
 NUMBER = attrgetter("number")
+AT_ONCE, EVERY = 256, 256
+"""Runs whose suspects are asked for one after the other, and samples until one more may be: exact rationals
+of each of 100 000 runs take an hour. The others have the suspect of the run before, and repair nothing.
+"""
 NO_SAMPLE, NO_DATA, OTHER = range(3)  # what follows an alarm
 RUN_ENDS, ENDS_BEFORE, RUN_BEGINS, BEGINS_HERE = range(4)
 Blame = Callable[[int, int], Suspect]
@@ -163,11 +167,12 @@ class Raised(NamedTuple):
 
 class Run(NamedTuple):
     """FAULT windows in a row, whether they count or not. Fields: suspect: of the first of them. repairs:
-    whether that takes back the jump of a fault that lasts.
+    whether that takes back the jump of a fault that lasts. asked: whether somebody was asked, see `AT_ONCE`.
     """
 
     suspect: Suspect
-    repairs: bool
+    repairs: bool = False
+    asked: bool = True
 
 
 class Event(NamedTuple):
@@ -202,6 +207,7 @@ class Watch:
         self.tail = NOTHING  # the last sample at which it was on, counted, and those behind it
         self.runs: dict[int, Run] = {}  # by first sample: those that the open stretch and its tail ask for
         self.latest, self.running = -1, False  # where the last one began, and whether it is on
+        self.credit = AT_ONCE * EVERY  # samples for questions
         self.spoke = -1  # the test that speaks at the last sample
         self.faults: dict[str, Suspect] = {}
         self.alarms: dict[str, Raised] = {}  # by suspect, of a rule that names them; without windows at first
@@ -435,14 +441,18 @@ class Watch:
 
     def _run_begins(self, start: int, test: int) -> None:
         """Ask for the suspect of a run, where it begins."""
-        suspect, repairs = UNKNOWN, False
-        if self.blame is not None:
-            suspect = self.blame(start, test)
-        if self.rule.latch:
-            fault = self.faults.setdefault(suspect.first, suspect)
-            repairs = suspect.ends(fault)
+        self.credit = min(self.credit + start - self.latest, AT_ONCE * EVERY)
+        run = Run(UNKNOWN)
+        if self.blame is not None and self.credit < EVERY:
+            run = Run(self.runs[self.latest].suspect, asked=False)
+        elif self.blame is not None:
+            self.credit -= EVERY
+            run = Run(self.blame(start, test))
         self.latest, self.running = start, True
-        self.runs[start] = Run(suspect, repairs)
+        if self.rule.latch:
+            fault = self.faults.setdefault(run.suspect.first, run.suspect)
+            run = run._replace(repairs=run.asked and run.suspect.ends(fault))
+        self.runs[start] = run
 
     def _run_ends(self, last: int, test: int, sure: int) -> None:
         """End the fault of a run that shows the opposite of the jump it began with, first or last.
@@ -466,7 +476,7 @@ class Watch:
         fault = self.faults[run.suspect.first]
         if run.repairs:
             return True
-        if self.blame is None or not fault.jump or last == self.latest:
+        if self.blame is None or not run.asked or not fault.jump or last == self.latest:
             return False
         return self.blame(last, test).ends(fault)
 
@@ -487,8 +497,10 @@ class Watch:
     def _close(self, stretch: Raised) -> None:
         """Give a stretch that is over to its alarm."""
         name = stretch.suspect.first
-        for start, run in self.runs.items():
-            if run.suspect.first != name and start > stretch.run:
+        for start, run in reversed(self.runs.items()):
+            if start <= stretch.run:
+                break
+            if run.suspect.first != name:
                 stretch = stretch._replace(own=min(stretch.own, start - 1))
         alarm = self.alarms[name]
         both = alarm.joined(stretch)
@@ -552,6 +564,7 @@ class Watch:
             "latest": self.latest,
             "running": self.running,
             "spoke": self.spoke,
+            "credit": self.credit,
             "faults": self.faults,
             "alarms": dict(self.alarms),
         }
@@ -560,7 +573,8 @@ class Watch:
         """Go on from a memory."""
         self.samples, self.count = memory["samples"], memory["count"]
         self.latest, self.running, self.spoke = memory["latest"], memory["running"], memory["spoke"]
-        self.runs = {start: Run(Suspect.of(suspect), ends) for start, (suspect, ends) in memory["runs"]}
+        self.credit = memory["credit"]
+        self.runs = {start: Run(Suspect.of(names), *run) for start, (names, *run) in memory["runs"]}
         self.faults = {name: Suspect.of(suspect) for name, suspect in memory["faults"].items()}
         self.before = np.array(memory["before"], bool)
         self.tail = Seen(*map(np.array, memory["tail"], KINDS))

@@ -248,3 +248,12 @@ def test_a_stricter_rule_is_never_longer_in_alarm(rng):
         )
         longer = in_alarm(rule, loose, proved, blames)
         assert in_alarm(stricter, loose & strict, proved, blames) <= longer, (stricter, rule)
+
+
+def test_suspects_of_many_runs_are_asked_for_now_and_then():
+    """A FAULT in every second of 20 000 windows asked 10 000 times in exact rationals."""
+    asked = []
+    fault = np.arange(20_000) % 2 == 0
+    (alarm,), _ = alarms(Watch(AlarmRule(latch=True), lambda k, test: asked.append(k) or UP), [seen(fault)])
+    assert (alarm.start, alarm.windows, alarm.ended) == (0, 10_000, LASTING)
+    assert asked[:256] == list(range(0, 512, 2)) and len(asked) < 256 + 20_000 // 256 + 2
