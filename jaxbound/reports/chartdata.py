@@ -31,6 +31,7 @@ SIGNALS, STATES = 12, 6  # charts of signals, and of states that an observer enc
 RELATIONS = 6  # charts of relations that no certificate combines
 NEAR = 60  # stretches around alarms
 SPAN, ASIDE = 160, 10  # samples of a stretch, and how close to its ends an alarm may be
+BEFORE = 20  # samples of a stretch before the alarm that it is made for
 BANDS = 50_000  # samples up to which windows say of every reading what they expect
 PATIENCE = 1.0  # seconds to read such stretches of a recording that is not in memory
 COMBINED = "combination of relations, in what its bounds allow"
@@ -196,7 +197,10 @@ def _stretches(
             late = isinstance(res, Digest) and clock_time.perf_counter() - begun > PATIENCE
             if len(stretches) == NEAR or (stretches and late):
                 continue
-            home = _stretch(res, x, worst, signals)
+            middle = shown.alarms[i].start - BEFORE + SPAN // 2
+            if abs(worst - middle) >= SPAN // 2 - ASIDE:  # too long after the begin
+                middle = worst
+            home = _stretch(res, x, middle, signals)
             stretches.append(home)
         home.combine(i, shown.why.get(i))
     return stretches
