@@ -70,6 +70,9 @@ def charts(res: Result | Digest, recording: Recording | Digest, shown: Shown) ->
         about = "the window with the lowest bound"
     near = _stretches(res, x, signals, shown)
     close, times = near[0].piece, []
+    begin = float(close.x[0])
+    if shown.chosen:
+        begin = max(begin, float(x(max(shown.alarms[shown.chosen[0]].start - BEFORE, 0))))
     for i in sorted(shown.chosen):
         alarm = shown.alarms[i]
         times.append([i, *(float(x(k)) for k in (alarm.start, alarm.end, alarm.worst))])
@@ -81,7 +84,7 @@ def charts(res: Result | Digest, recording: Recording | Digest, shown: Shown) ->
         step=median_step(close.x),
         whole=whole,
         near=[stretch.plain() for stretch in near],
-        begin=float(close.x[0]),
+        begin=begin,
         end=float(close.x[-1]),
         about=about,
         alarms=times,
