@@ -39,6 +39,9 @@ from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.window_tests import WINDOWS
 from jaxbound.text.progress import in_part, reporter
 
+SHOWN = {"latch": True}
+"""The rule of alarms of a fitted model: windows forget the onset of a fault that lasts, alarms do not."""
+
 
 @taking_fields(Recipe)
 @where_proofs_hold(compiled=False)
@@ -127,7 +130,8 @@ def fit(
         model = fitted_bank(training, plan, sentences, report)
     else:
         model = fitted(training, plan, sentences, report)
-    return Fitted(model, dataclasses.replace(model.check, signals=signals, recipe=plan))
+    stated = model.replace(alarms=SHOWN)
+    return Fitted(stated, dataclasses.replace(model.check, signals=signals, recipe=plan))
 
 
 def _with_signals(
