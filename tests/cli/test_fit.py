@@ -72,6 +72,7 @@ def test_fit_writes_a_model_file(place, capsys):
     assert not any("multiple of" in hint for hint in jb.read("run.csv", model).hints)
     heat = np.loadtxt("run.csv", delimiter=",", skiprows=1)[:110, 1]
     assert tuple(map(float, model.ranges["heat"])) == (heat.min(), heat.max())
+    assert said["widest"]["share"] == said["recordings"][0]["used"]
     assert said["recordings"][0]["windows"] == 106 and said["held_out"]["windows"] > 20
     assert model.provenance["model"] == "fitted to 110 samples in 1 recording", "10 of 120 are set aside"
 
@@ -120,6 +121,7 @@ def test_the_summary_names_bounds_shares_and_cautions(place, capsys):
     for text in (
         "tank: fitted to 1 recording",
         "run.csv 106 windows, ",
+        "widest bounds run.csv, the window that ends at ",
         "safety 1.25 times these bounds",
         "caution nothing was left out",
         "10 of 120 samples are set aside",

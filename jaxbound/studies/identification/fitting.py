@@ -36,6 +36,7 @@ from jaxbound.studies.identification.signal_choice import (
     refuse_unnamed,
 )
 from jaxbound.studies.identification.training import Training
+from jaxbound.studies.identification.widest import widest_of
 from jaxbound.studies.identification.window_tests import WINDOWS
 from jaxbound.text.progress import in_part, reporter
 
@@ -126,7 +127,8 @@ def fit(
         model = fitted_bank(training, plan, sentences, report)
     else:
         model = fitted(training, plan, None, sentences, report)
-    return Fitted(model, dataclasses.replace(model.check, signals=signals, recipe=plan))
+    widest = widest_of(training, model.check.used, model.horizon)
+    return Fitted(model, dataclasses.replace(model.check, signals=signals, recipe=plan, widest=widest))
 
 
 def _with_signals(
