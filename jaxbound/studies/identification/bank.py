@@ -101,7 +101,7 @@ def fitted_bank(
     for number, test in enumerate(picked[1:]):
         name, jump, steady = test.window.text, test.jump, test.steady
         if watched is not None and observer is not None and test.window.observer is not None:
-            stated.append(test_as_fitted(base, _beside(base, watched), name, _options(observer)))
+            stated.append(test_as_fitted(base, _beside(base, watched), name, observer_fields(observer)))
             more = [f"test {name!r}: {x}" for x in watched.check.sentences if x not in check.sentences]
             check = dataclasses.replace(_saying(check, *more), tradeoff=watched.check.tradeoff)
         else:
@@ -144,7 +144,7 @@ def _judged(fitted: Fitted, method: ObserverMethod) -> JudgedTest:
     return JudgedTest(window, kind, check.factor, check.smallest, {}, jump, lasting, never, ramp)
 
 
-def _options(method: ObserverMethod) -> dict[str, Any]:
+def observer_fields(method: ObserverMethod) -> dict[str, Any]:
     """Return the fields of a test by an observer: latched, and what is not as usual of its method."""
     options: dict[str, Any] = {"observer": method.name, "latched": True}
     usual = type(method)()

@@ -11,6 +11,7 @@ import numpy as np
 from jaxbound.recordings.expressions import TIME_OF_DAY, TIME_SINCE_START, derived
 from jaxbound.recordings.recording import Recording
 from jaxbound.studies.identification.bounds import rounded_up
+from jaxbound.studies.identification.records import sample_text
 from jaxbound.studies.identification.training import Training
 from jaxbound.text.objects import readable
 from jaxbound.text.quantities import duration, percent, three_digits
@@ -63,8 +64,8 @@ class Widest:
 
     def rows(self, names: Sequence[object]) -> Iterator[tuple[str, str]]:
         """Yield (label, sentence) for a reader. names: of the recordings."""
-        at = f"{names[self.recording - 1]}, the window that ends at {self.when} (sample {self.sample})"
-        yield "widest bounds", f"{at} needs {percent(self.share)} of them"
+        at = f"the window that ends at {sample_text(self.when, self.sample)}"
+        yield "widest bounds", f"{names[self.recording - 1]}, {at} needs {percent(self.share)} of them"
         narrower = f"the other windows need {percent(self.rest)} at most"
         if self.where:
             times = three_digits(self.rest / self.share)
