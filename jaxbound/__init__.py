@@ -60,7 +60,6 @@ if TYPE_CHECKING:
     from jaxbound.sets.zonotopes.facets import membership, strips
     from jaxbound.sets.zonotopes.zonotope import zonotope
     from jaxbound.studies.assessment.assessment import assess
-    from jaxbound.studies.identification.adding import widen
     from jaxbound.studies.identification.fitting import fit
     from jaxbound.studies.identification.recipe import Recipe
     from jaxbound.studies.montecarlo.montecarlo import study
@@ -118,7 +117,6 @@ __all__ = [
     "unknown_inputs",
     "use_cache",
     "validate",
-    "widen",
     "with_faults",
     "zonotope",
 ]
@@ -169,7 +167,6 @@ _HOMES = {
     "sets.zonotopes.facets": "membership strips",
     "sets.zonotopes.zonotope": "zonotope",
     "studies.assessment.assessment": "assess",
-    "studies.identification.adding": "widen",
     "studies.identification.fitting": "fit",
     "studies.identification.recipe": "Recipe",
     "studies.montecarlo.montecarlo": "study",

@@ -56,7 +56,6 @@ def doors():
         "sets.support": lambda: sets.support(Z, [1.0]),
         "study": lambda: jb.study(MODEL, [jb.Fault("y1", "bias", 1.0, 4)], 2, 0, samples=8),
         "tune": lambda: jb.tune(r, (None, y), steps=0),
-        "widen": lambda: jb.widen(MODEL, (None, y)),
         "fit": lambda: jb.fit((None, np.sin(np.arange(40.0))[:, None]), order=2, horizon=3),
     }
 

@@ -137,18 +137,17 @@ def widen(
     model: ModelLike | str | PathLike[str],
     recordings: object,
     most: float = MOST,
-    tests: StatedTests | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> Widened:
-    """Widen a model by healthy recordings that it does not hold: `jaxbound fit --add`.
+    """Widen a model by healthy recordings that it does not hold: `fit` with `add`.
 
     The bounds of each of its tests grow by the smallest factor under which the monitor finds no FAULT in them
     and their windows CONSISTENT; the region of training grows, the provenance says by what.
 
     Args:
         model: a LinearSystem, or the path of its file. recordings: one or several, as `fit` takes them.
-        most: bounds that would have to grow by more are refused: a fault would be learnt. tests: as of
-            `monitor`; None: those of the model, its windows, or the observer of its recipe. progress: called
+            Bounds of a recipe for an observer, of a file, are widened for that one.
+        most: bounds that would have to grow by more are refused: a fault would be learnt. progress: called
             with the share of the work done.
 
     Returns:
@@ -156,21 +155,20 @@ def widen(
 
     Raises:
         OSError: no such file. ValueError: bounds would have to grow by more, with the time of the sample that
-            asks for most; no factor holds the recordings; a test whose bounds no factor scales; otherwise as
-            `monitor` and `read`.
+            asks for most; no factor holds the recordings; nothing says for which observer bounds are;
+            otherwise as `monitor` and `read`.
 
     Example:
         >>> import jaxbound as jb
         >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, horizon=1)
-        >>> wider = jb.widen(m, (None, [[1.0], [0.8], [0.3]]))  # |y[k-1] - 2 y[k]| <= 3 noise
+        >>> wider = widen(m, (None, [[1.0], [0.8], [0.3]]))  # |y[k-1] - 2 y[k]| <= 3 noise
         >>> wider.factor, float(wider.model.noise[0])
         (2.001, 0.2001)
     """
     if not (is_real(most) and most >= 1):
         raise ValueError(f"most is a factor >= 1 that bounds may grow by, not {most!r}")
     report = reporter(progress, "widen")
-    if tests is None:
-        tests = _tests_of(model)
+    tests = _tests_of(model)
     if isinstance(model, str | PathLike):
         model = load_model(model)
     model = as_model(model, factors=True)
@@ -212,7 +210,7 @@ def _tests_of(model: object) -> StatedTests | None:
         plant = load_model(model)
     if not isinstance(plant, LinearSystem) or plant.tests or FOR_OBSERVER not in str(plant.provenance):
         return None
-    why = "the bounds of this model are for an observer: say for which, tests=[{'name': .., 'observer': ..}]"
+    why = "the bounds of this model are for an observer: state it, tests=[{'name': .., 'observer': 'joint'}]"
     if plant is model:
         raise ValueError(why)
     method = recipe_of(model, {}).observing

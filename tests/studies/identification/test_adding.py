@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
+from jaxbound.studies.identification.adding import widen
 
 T = 40
 DATES = pd.date_range("2026-03-02 07:00", periods=T, freq="min")
@@ -40,15 +41,15 @@ def faults(model, day):
 
 def test_a_day_that_is_held_changes_nothing(rng):
     model = plant(ranges={"u": (-1, 1)})
-    widened = jb.widen(model, table(*course(rng, 0)))
+    widened = widen(model, table(*course(rng, 0)))
     assert widened.model is model and widened.factor == 1 and not widened.changed
     assert list(widened.rows()) == [("test: windows", "its bounds hold, and stay")]
 
 
 def test_bounds_grow_just_enough_and_sizes_with_them(rng):
-    day = table(*course(rng, 0.3, at=(20,)))
+    day = table(*course(rng, 0.25, size=0.04, at=(20,)))
     model = plant(provenance={"noise": "fitted"})
-    widened = jb.widen(model, day)
+    widened = widen(model, day)
     noise = widened.model.noise[0]
     relations = jb.parity_relations(widened.model)
     assert jb.detect(relations, day).counts["CONSISTENT"] == T - 4
@@ -65,7 +66,7 @@ def test_a_window_on_the_boundary_is_proved_to_be_held():
     model = jb.LinearSystem([["0.5"]], None, [[1]], noise=["0.2"], horizon=1)
     day = None, [[1.0], [0.8], [0.3]]  # |y[k-1] - 2 y[k]| is 3 noise
     assert jb.detect(jb.parity_relations(model), *day).counts["UNDECIDED"]
-    widened = jb.widen(model, day)
+    widened = widen(model, day)
     assert widened.factor == 1.001
     assert jb.detect(jb.parity_relations(widened.model), *day).counts["CONSISTENT"] == 2
 
@@ -75,7 +76,7 @@ def test_each_test_grows_by_its_own_factor(rng):
     model = plant(noise=[0.12], tests=tests)
     day = table(*course(rng, 0.45, at=(20,)))
     assert faults(model, day)
-    widened = jb.widen(model, day)
+    widened = widen(model, day, most=20)
     factors = {test.name: float(test.factor) for test in widened.model.tests}
     assert not faults(widened.model, day) and widened.model.noise == model.noise
     assert factors == {
@@ -108,20 +109,33 @@ def test_every_family_that_a_file_states_is_widened(family, rng):
     model = plant(**FAMILIES[family])
     day = table(*course(rng, 0.35, size=0.04, at=(19, 20, 21)))
     assert faults(model, day), "else nothing is asked for"
-    widened = jb.widen(model, day, most=20)
+    widened = widen(model, day, most=20)
     assert widened.factor > 1 and not faults(widened.model, day)
-    assert jb.widen(widened.model, day).model is widened.model
+    assert widen(widened.model, day).model is widened.model
 
 
 def test_an_unknown_mode_asks_no_test_for_wider_bounds(rng):
     tests = [{"name": "on", "when": "mode > 0"}, {"name": "off", "when": "otherwise", "factor": 20}]
     u, y = course(rng, 1.0, at=(20,))
     day = table(u, y).assign(mode=np.nan)
-    widened = jb.widen(plant(tests=tests), day)
+    widened = widen(plant(tests=tests), day)
     assert widened.factor == 1, "off explains it"
     tests[1]["factor"] = 1
     with pytest.raises(ValueError, match="refutes a sample whose mode is not known, whatever the mode"):
-        jb.widen(plant(tests=tests), day)
+        widen(plant(tests=tests), day)
+
+
+def test_fit_widens_a_model_and_takes_nothing_that_makes_a_new_one(rng):
+    day = course(rng, 0.25, size=0.04, at=(20,))
+    widened = jb.fit(day, add=plant())
+    assert widened.factor == widen(plant(), day).factor > 1
+    with pytest.raises(ValueError, match="needs bounds .* times as wide"):
+        jb.fit(day, add=plant(), most=1.05)
+    for about in ({"order": 1}, {"inputs": ["u"]}, {"recipe": "plant.toml"}):
+        with pytest.raises(ValueError, match=f"add widens a model as it is: leave {next(iter(about))} out"):
+            jb.fit(day, add=plant(), **about)
+    with pytest.raises(ValueError, match="most is for add"):
+        jb.fit(day, most=2)
 
 
 def test_a_fault_is_refused_by_its_time_and_learnt_on_demand(rng):
@@ -129,15 +143,15 @@ def test_a_fault_is_refused_by_its_time_and_learnt_on_demand(rng):
     with pytest.raises(
         ValueError, match=r"recording 1 at 2026-03-02 07:2\d:00 \(sample 2\d\) needs bounds"
     ) as e:
-        jb.widen(plant(), day)
+        widen(plant(), day)
     most = float(str(e.value).rpartition("most=")[2])
-    assert 3 < jb.widen(plant(), day, most=most).factor <= most
+    assert 3 < widen(plant(), day, most=most).factor <= most
 
 
 def test_the_region_of_training_grows_by_what_is_there(rng):
     u, y = course(rng, 0)
     low, high = -0.5, 2.0
-    widened = jb.widen(plant(ranges={"u": (low, high)}), [(u, y), (u, y)])
+    widened = widen(plant(ranges={"u": (low, high)}), [(u, y), (u, y)])
     assert widened.factor == 1 and widened.changed
     assert tuple(map(float, widened.model.ranges["u"])) == (u.min(), high)
     assert "-0.5 to 2, now -" in dict(widened.rows())["training: u"]
@@ -149,8 +163,8 @@ def test_bounds_for_an_observer_are_widened_for_it(rng, tmp_path):
     jb.save_model(model, tmp_path / "plant.toml")
     day = course(rng, 0.15, size=0.02, at=(20,))
     assert jb.detect(jb.observer(model), *day).counts["FAULT"]
-    widened = jb.widen(tmp_path / "plant.toml", day, most=20)
+    widened = widen(tmp_path / "plant.toml", day, most=20)
     assert list(widened.tests) == ["observer zonotope"] and widened.factor > 1
     assert not jb.detect(jb.observer(widened.model), *day).counts["FAULT"]
-    with pytest.raises(ValueError, match="for an observer: say for which"):
-        jb.widen(jb.load_model(tmp_path / "plant.toml"), day)
+    with pytest.raises(ValueError, match="for an observer: state it"):
+        widen(jb.load_model(tmp_path / "plant.toml"), day)
