@@ -17,7 +17,8 @@ from jaxbound.studies.identification.regression import Scales, scales_of
 class Training:
     """Healthy recordings, and arguments of a LinearSystem that they settle.
 
-    Fields: recordings: as `read_each` takes them. records: their samples. Others: as of a LinearSystem.
+    Fields: recordings: as `read_each` takes them, or has read them. records: their samples. Others:
+    as of a LinearSystem.
     """
 
     recordings: object
@@ -43,7 +44,7 @@ class Training:
         for one in every:
             records.append((np.asarray(one.u, np.float64), np.asarray(one.y, np.float64), one.starts))
         names = every[0].inputs, every[0].outputs
-        return cls(recordings, *names, common_period(dt, every), records, columns)
+        return cls(every, *names, common_period(dt, every), records, columns)
 
     def with_inputs(self, inputs: Sequence[str]) -> "Training":
         """Return the training with some of its inputs."""
