@@ -33,7 +33,8 @@ OPTIONS = Options(
     {
         "data DATA ...": "healthy recordings: CSV files, Parquet files or folders",
         "--inputs A,B": "columns; or name=column, or name=expression like lift=Tsup-Tmix; names with commas "
-        "or = in backticks or double quotes",
+        "or = in backticks or double quotes; wind=angle(W) becomes wind sin and wind cos, of degrees; "
+        "rate(n) is the growth of a counter in a second, rate(n,65536) of one that begins at 0 again there",
         "--outputs C,D": "as --inputs: what the model is to explain; these and their columns may be left out "
         "with a --recipe from a model file",
         "--recipe RECIPE": "how to fit, and for which test, like order=1,horizon=30 (windows of 31 samples) "
@@ -135,6 +136,7 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
     """
     from jaxbound.cli.fit_summary import named_units, signal_columns
     from jaxbound.models.modelfile import load_model
+    from jaxbound.recordings.expressions import with_angles
     from jaxbound.recordings.signals import Signals
 
     own = {name: value for name in ("time", "where", "every") if (value := getattr(args, name))}
@@ -150,7 +152,9 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
     inputs, outputs = signal_columns("--inputs", args.inputs), signal_columns("--outputs", args.outputs)
     inputs, outputs, units = named_units(inputs, outputs)
     columns = own | dict(signal for signal in (*inputs, *outputs) if not isinstance(signal, str))
-    signals = Signals(_names(inputs), _names(outputs), columns, args.dt)
+    input_names, columns = with_angles(_names(inputs), columns)
+    output_names, columns = with_angles(_names(outputs), columns)
+    signals = Signals(input_names, output_names, columns, args.dt)
     return signals, units, args.name or args.out.stem
 
 

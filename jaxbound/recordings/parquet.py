@@ -32,7 +32,7 @@ from jaxbound.recordings.parquetfiles import (
 )
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import period_of, rows_apart
-from jaxbound.recordings.selection import NO_TIME, Wanted
+from jaxbound.recordings.selection import NO_TIME, Wanted, looks_back
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import PROBE, PartSource
 from jaxbound.recordings.timestamps import in_ns, iso_stamps, since_epoch, time_label
@@ -184,14 +184,26 @@ class ParquetSource(PartSource):
 
         held: list[pa.RecordBatch] = []
         rows, start = 0, first
+        if self.looks_back and first < stop:  # the row before is no sample of these, but a rate needs it
+            held += self._batches(max(first - 1, 0), first, size, self.plan.columns)
         for batch in self._batches(first, stop, size, self.plan.columns):
             while len(batch):
                 part = batch.slice(0, size - rows)
                 held.append(part)
                 rows, batch = rows + len(part), batch.slice(len(part))
                 if rows == size or start + rows == stop:
-                    yield start, self._chunk(start, pa.Table.from_batches(held))
+                    table = pa.Table.from_batches(held)
+                    before = len(table) - rows
+                    chunk = self._chunk(start - before, table)
+                    yield start, chunk.cut(before, chunk.samples) if before else chunk
                     held, rows, start = [], 0, start + rows
+                    if self.looks_back:
+                        held = [part.slice(len(part) - 1)]
+
+    @cached_property
+    def looks_back(self) -> bool:
+        """Whether a signal needs the sample before."""
+        return any(signal.looks_back for signal in self.plan.every)
 
     def _chunk(self, start: int, table: "pa.Table") -> Recording:
         """Return the samples of a table, which begins at sample `start`."""
@@ -210,7 +222,7 @@ class ParquetSource(PartSource):
             columns[name] = np.array(table.column(name).to_pylist(), object)
         try:
             since = time - self.begin
-            samples = self.plan.samples(columns, len(table), (since, stamps), self.dtype, start)
+            samples = self.plan.samples(columns, len(table), (since, stamps), self.dtype, start, self.dt)
         except ValueError as e:
             raise ValueError(f"{self.path}: {e}") from None
         return Recording.filed(self.model, samples, (time, stamps, written), self.path.name, self.dt)
@@ -364,6 +376,11 @@ def open_parquet(path: str | PathLike[str], model: SignalModel) -> ParquetSource
         how_many = "one row" if rows[-1] else "no row"
         raise ValueError(f"{path}: {how_many} of data: a recording has at least two")
     plan = plan_of(list(types), types, model, dated)
+    if not getattr(model, "regular", True) and looks_back(model):
+        raise ValueError(
+            f"{path}: {looks_back(model)!r} and means over intervals do not go together in Parquet: compute the "
+            f"rate beforehand, as a column"
+        )
     single = any(types.get(c) == pa.float32() for signal in plan.outputs for c in signal.read)
     dtype = np.dtype(np.float32 if single else np.float64)
     hints: tuple[str, ...] = ()

@@ -6,7 +6,7 @@ spans it. What has been taken is remembered in a few numbers and lines, so that 
 behind it, whether the sender begins again or not.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial, reduce
 from pathlib import Path
@@ -20,8 +20,9 @@ from jaxbound.recordings.csvlines import BOM, split_lines
 from jaxbound.recordings.csvtext import BLANK, UNENDED, is_number, sniff
 from jaxbound.recordings.linetext import Cells, LineReader, refuse_infinite
 from jaxbound.recordings.oddcells import thousands
-from jaxbound.recordings.recording import Recording, Times
+from jaxbound.recordings.recording import Recording, Samples, Times
 from jaxbound.recordings.seams import TOLERATED_STEP, check_period, rows_apart
+from jaxbound.recordings.selection import Moments
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, digests_of
 from jaxbound.recordings.thousands import Doubt
@@ -30,6 +31,8 @@ from jaxbound.recordings.timestamps import parse_stamps, since_epoch
 SOURCE = "standard input"
 LONGEST = 1 << 20  # bytes of a line
 SHOWN = 100  # samples whose steps say whether the sampling period is the model's
+TIME = "= time"
+"""The time of a row, which no column is called."""
 TOLD = 20  # seams of one piece that get a sentence
 Line = tuple[int, bytes]
 """A line with its number."""
@@ -75,6 +78,7 @@ class PipeText(Stream):
         self.returns = 0  # carriage returns at the end, which may be the first half of a line end
         self.replaying = False  # the lines that come are those that a process before had judged
         self.was_broken = False  # behind the last sample of that one
+        self.before: dict[str, np.ndarray] = {}  # the last row, where a signal looks back
         self.shown: list[float] | None = []
         if not self.regular:
             self.shown = None
@@ -414,7 +418,7 @@ class PipeText(Stream):
             columns.setdefault(plan.time, since if stamps is None else stamps)
         if self.numbers is not None and self.numbers.scale is None:
             since = since - self.numbers.origin
-        samples = plan.samples(columns, cells.rows, (since, stamps))
+        samples = self._samples_behind(columns, (since, stamps))
         if plan.where is not None:
             reader.refuse(cells, samples[2], "".format)
         self._refuse_doubt(cells, samples[2], rows)
@@ -425,6 +429,24 @@ class PipeText(Stream):
                 return piece
         self.taken.add(digests)
         return self._seamed(piece, rows)
+
+    def _samples_behind(self, columns: Mapping[str, np.ndarray], moments: Moments) -> Samples:
+        """Return the samples of columns; a rate needs the row before them, too."""
+        plan, (since, stamps) = self._known_reader.plan, moments
+        count, behind = len(since), 0
+        if any(signal.looks_back for signal in plan.every):
+            before, last = self.before, {name: x[-1:] for name, x in columns.items()}
+            self.before = {TIME: since[-1:]} | last
+            if before and not self.broken:
+                behind = 1
+                since = np.append(before[TIME], since)
+                columns = {name: np.append(before[name], x) for name, x in columns.items()}
+                if stamps is not None:
+                    stamps = np.append(stamps[:1], stamps)
+        u, y, excluded = plan.samples(columns, count + behind, (since, stamps), dt=self.dt)
+        if excluded is not None:
+            excluded = excluded[behind:]
+        return u[behind:], y[behind:], excluded
 
     def _refuse_doubt(self, cells: Cells, excluded: np.ndarray | None, rows: list[Line]) -> None:
         """Refuse a number whose decimal sign may be a sign for thousands, behind whole ones."""

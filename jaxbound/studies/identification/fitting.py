@@ -16,6 +16,7 @@ from functools import partial
 from os import PathLike
 
 from jaxbound.models.arguments import table_argument, taking_fields
+from jaxbound.recordings.expressions import with_angles
 from jaxbound.recordings.means import with_every
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
@@ -74,8 +75,9 @@ def fit(
         inputs, outputs: names; needed with tables and paths. dt: sampling period in s; None: what the times
             of tables, paths or a Recording say, else 1. every: an interval of the clock, like "15min":
             samples are the means of what was recorded within each, and the model keeps it.
-        name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called
-            with the share of the work done.
+        name, units, columns: as of a LinearSystem; tables are read by these columns too. Of a column
+            "= angle(wind)" the signal becomes two, its sine and its cosine. progress: called with the share
+            of the work done.
         fields: fields of the recipe that are to differ from it, like order=1, horizon=30.
 
     Returns:
@@ -98,7 +100,13 @@ def fit(
     units = table_argument("units", units, "{'T': 'degC'}")
     columns, dt = with_every(columns, dt, every)
     report = reporter(progress, "fit")
-    begin_with = names_of("inputs", inputs)
+    inputs = begin_with = names_of("inputs", inputs)
+    if begin_with is not None:
+        begin_with, columns = with_angles(begin_with, columns)
+        inputs = begin_with
+    outputs = names_of("outputs", outputs)
+    if outputs is not None:
+        outputs, columns = with_angles(outputs, columns)
     pool: dict[str, str] = {}
     if plan.signals is not None:
         if not begin_with:
