@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from jaxbound.models.system import LinearSystem
     from jaxbound.models.uncertainty import Uncertainty
     from jaxbound.plots.every import plot
+    from jaxbound.recordings.look import Look, look
     from jaxbound.recordings.read import read
     from jaxbound.recordings.recording import Recording
     from jaxbound.relations.decoupling import signatures, structured_relations
@@ -69,6 +70,7 @@ __all__ = [
     "AlarmRule",
     "Fault",
     "LinearSystem",
+    "Look",
     "Monitor",
     "MultiModel",
     "NamedFault",
@@ -92,6 +94,7 @@ __all__ = [
     "isolability",
     "linearize",
     "load_model",
+    "look",
     "margins",
     "membership",
     "monitor",
@@ -150,6 +153,7 @@ _HOMES = {
     "models.system": "LinearSystem",
     "models.uncertainty": "Uncertainty",
     "plots.every": "plot",
+    "recordings.look": "Look look",
     "recordings.read": "read",
     "recordings.recording": "Recording",
     "relations.decoupling": "signatures structured_relations",

@@ -2,6 +2,7 @@
 names.
 """
 
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import IO
@@ -10,17 +11,20 @@ import numpy as np
 
 from jaxbound.recordings.columns import Arrow, to_arrow, valid
 from jaxbound.recordings.counting import read_numbers
-from jaxbound.recordings.csvtext import Layout, above_header, sniff
+from jaxbound.recordings.csvlines import lines_of
+from jaxbound.recordings.csvtext import MISSING_CELLS, Layout, above_header, is_number, sniff
 from jaxbound.recordings.linetext import Cells, LineReader, Opened, refuse_infinite
 from jaxbound.recordings.oddcells import error_hints, no_number, refuse_odd, thousands, unsaid_hints
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import period_of, rows_apart
 from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
 from jaxbound.recordings.signals import SignalModel
-from jaxbound.recordings.source import Progress, Source, with_hints
+from jaxbound.recordings.source import NUMBER, TEXT, Outline, Progress, Source, with_hints
 from jaxbound.recordings.thousands import all_grouped, in_doubt, may_be_grouped
 from jaxbound.recordings.timestamps import parse_stamps
 from jaxbound.text.progress import reporter
+
+SHOWN = 200  # lines whose cells show whether a column holds numbers
 
 
 class CsvFile(Source):
@@ -32,6 +36,24 @@ class CsvFile(Source):
     def takes(cls, data: object) -> bool:
         """Return True for every path: what is no CSV file is refused in a sentence."""
         return isinstance(data, str | PathLike)
+
+    @classmethod
+    def outline(cls, data: object) -> Outline:
+        """Return how the file is written: its columns by their first cells."""
+        layout = sniff(Path(str(data)))
+        with open(layout.path, "rb", buffering=0) as file:
+            lines = list(islice(lines_of(file), layout.skip, layout.skip + SHOWN))
+        rows = list(filter(any, map(layout.cells, lines)))
+        kinds: dict[str, str] = {}
+        for i, name in enumerate(layout.names):
+            cells = [row[i] for row in rows if i < len(row) and row[i] not in MISSING_CELLS]
+            kinds[name] = layout.dated(name) or NUMBER
+            if cells and kinds[name] == NUMBER and not any(is_number(x, layout.decimal) for x in cells):
+                kinds[name] = TEXT
+        encoding = {"utf-8": "UTF-8", "cp1252": "Windows-1252"}.get(layout.encoding, layout.encoding)
+        parted = {"\t": "tabs"}.get(layout.delimiter, repr(layout.delimiter))
+        sign = {",": ", decimal comma"}.get(layout.decimal, "")
+        return Outline(f"{encoding}, cells between {parted}{sign}, header in row {layout.skip}", kinds)
 
     def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording of the file.

@@ -26,15 +26,16 @@ from jaxbound.recordings.parquetfiles import (
     dated_columns,
     files_of,
     groups_of,
+    holds_numbers,
     opened,
     plan_of,
     spans_of,
 )
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import period_of, rows_apart
-from jaxbound.recordings.selection import NO_TIME, Wanted, looks_back
+from jaxbound.recordings.selection import NO_TIME, STAMPS, Wanted, looks_back
 from jaxbound.recordings.signals import SignalModel
-from jaxbound.recordings.source import PROBE, PartSource
+from jaxbound.recordings.source import NUMBER, PROBE, TEXT, Outline, PartSource
 from jaxbound.recordings.timestamps import in_ns, iso_stamps, since_epoch, time_label
 
 if TYPE_CHECKING:
@@ -102,6 +103,20 @@ class ParquetSource(PartSource):
     def open(cls, data: object, model: SignalModel) -> "ParquetSource":
         """Return the source of a file or folder. See `open_parquet`."""
         return open_parquet(str(data), model)
+
+    @classmethod
+    def outline(cls, data: object) -> Outline:
+        """Return how the files are written, by the types of the first."""
+        files = files_of(Path(str(data)))
+        with opened(files[0], str(files[0])) as f:
+            stamps, kinds = dated_columns(f), {}
+            for field in f.schema_arrow:
+                kinds[field.name] = NUMBER
+                if field.name in stamps:
+                    kinds[field.name] = STAMPS[0]
+                elif not holds_numbers(field.type):
+                    kinds[field.name] = TEXT
+        return Outline(f"Parquet, {len(files)} file{'s' * (len(files) > 1)}", kinds)
 
     @cached_property
     def content(self) -> str | None:

@@ -20,8 +20,9 @@ from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.seams import FEW, TOLERATED_DT, UNITS, varied_steps
 from jaxbound.recordings.signals import Named, Signals, signals_of
-from jaxbound.recordings.source import KINDS, Source
-from jaxbound.recordings.table import Data
+from jaxbound.recordings.source import KINDS, Outline, Source
+from jaxbound.recordings.table import Data, as_table, is_table
+from jaxbound.recordings.tabletime import kinds_of
 from jaxbound.text.progress import Progress, in_part, reporter
 
 Signal = str | tuple[str, str]
@@ -110,6 +111,14 @@ class Arrays(Source):
     def takes(cls, data: object) -> bool:
         """Return whether data are no path."""
         return not isinstance(data, str | PathLike)
+
+    @classmethod
+    def outline(cls, data: object) -> Outline:
+        """Return the columns of a table."""
+        frame = as_table(data, "data")
+        if not is_table(frame):
+            raise ValueError("data are no table and no path: there are no columns to look at")
+        return Outline("a table", kinds_of(frame))
 
     def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording."""

@@ -1,0 +1,370 @@
+"""A look at a recording before there is a model: what was read, what its columns hold, and how to go on."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxbound.recordings.hints import recorded_step
+from jaxbound.recordings.read import kind_of, open_source
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.seams import Clock, seam_hints, tick, usual_period, varied_interval, varied_steps
+from jaxbound.recordings.selection import time_column
+from jaxbound.recordings.signals import Signals
+from jaxbound.recordings.source import NUMBER, TEXT
+from jaxbound.recordings.stillness import Runs, follow_runs, signal_hints, stretches
+from jaxbound.recordings.suspects import suspicions
+from jaxbound.text.names import listed
+from jaxbound.text.objects import readable
+from jaxbound.text.progress import Progress, reporter
+from jaxbound.text.units import without_unit
+
+MOST = 1_000_000  # samples that are looked at of a recording that is read in pieces
+BINS = 600  # of a picture
+SET = 0.2  # share of steps up to which a column that is set by somebody changes
+SHOWN, NAMED = 40, 12  # columns of the table, names of the command, that are shown at most
+WIDE = 26  # letters of a name in the table
+WORDS = ("samples are missing", "has a gap", "gaps, the longest")
+
+
+class Finding(NamedTuple):
+    """What a column should be asked about. Fields: mark: a word, for a table; sentence."""
+
+    mark: str
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False)
+class LookedColumn:
+    """One column of a recording that was looked at.
+
+    Fields:
+        name; unit: as the name says it, "" where it says none. kind: "number", "text", which is no signal, or
+            "unread", which `findings` explain.
+        low, high: its range, NaN where there is none. resolution: the step that all numbers are multiples of,
+            0: none was found. missing: how many samples are.
+        changes: share of the steps that change it. findings: see `Finding`.
+        curve: (2, B) lowest and highest number of each bin of samples, for a picture.
+    """
+
+    name: str
+    kind: str
+    unit: str = ""
+    low: float = np.nan
+    high: float = np.nan
+    resolution: float = 0.0
+    missing: int = 0
+    changes: float = 0.0
+    findings: tuple[Finding, ...] = ()
+    curve: np.ndarray | None = None
+
+    @property
+    def entry(self) -> str:
+        """The column as --inputs and --outputs take it, "" where it is no signal: as what it is suspected."""
+        if self.kind != NUMBER or not self.changes:
+            return ""
+        for finding in self.findings:
+            if finding.mark in ("angle?", "counter?"):
+                return finding.sentence.split('"')[1]
+        if set(self.name) & set(",="):
+            return f"`{self.name}`"
+        return self.name
+
+    def plain(self) -> dict[str, Any]:
+        """Return the fields as JSON has them."""
+        fields = {name: x for name, x in vars(self).items() if name not in ("curve", "findings")}
+        return fields | {"findings": [finding._asdict() for finding in self.findings]}
+
+
+@readable
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A recording as `look` found it; `plot` draws a picture of each column.
+
+    Fields:
+        source: name of the file. how: it is written, in words. time: the column of the time, None: there is
+            none.
+        samples: how many were looked at. first, last: the times of the first and the last as they stand
+            there. dt: sampling period in s that the times show, None: they show none.
+        columns: a LookedColumn each, without the time. hints: sentences on rows that were left out, gaps and
+            the like.
+        table: the `[recording]` table of a model file that reads a file like this one the same way, "" where
+            none is needed.
+        command: to go on with. axis: (B,) time of the bins of the curves, in s or datetime64.
+    """
+
+    source: str
+    how: str
+    time: str | None
+    samples: int
+    first: str
+    last: str
+    dt: float | None
+    columns: tuple[LookedColumn, ...]
+    hints: tuple[str, ...]
+    table: str
+    command: str
+    axis: np.ndarray
+
+    @property
+    def headline(self) -> str:
+        """What there is, in one line."""
+        signals = [column for column in self.columns if column.kind == NUMBER]
+        return f"{self.source}: {self.samples} samples of {len(signals)} columns of numbers"
+
+    def rows(self) -> Iterator[tuple[str, str]]:
+        """Yield (name, text): how it was read, its times, what should be asked, and how to go on."""
+        yield "read as", self.how
+        apart = "whose steps show no sampling period"
+        if self.dt is not None:
+            apart = f"{self.dt:g} s apart"
+        clock = "no column of times: samples are counted"
+        if self.time is not None:
+            clock = f"{self.first} to {self.last}, {apart} (column {self.time!r})"
+        yield "time", clock
+        yield from (("recording", hint) for hint in self.hints)
+        findings = [("column", x.sentence) for column in self.columns for x in column.findings]
+        yield from findings[:SHOWN]
+        if len(findings) > SHOWN:
+            yield "", f"{len(findings) - SHOWN} sentences more: --json has all"
+        yield "go on", self.command
+
+    def cells(self) -> Iterator[Sequence[str]]:
+        """Yield rows of cells, a column of the recording each, their names first."""
+        yield "column", "range", "step", "remarks"
+        for column in self.columns[:SHOWN]:
+            name, span, step = column.name, "", ""
+            if len(name) > WIDE:  # names of one plant begin alike
+                name = f"{name[:8]}...{name[11 - WIDE :]}"
+            if column.kind == NUMBER:
+                span, step = f"{column.low:.5g} .. {column.high:.5g}", f"{column.resolution or '':.4}"
+            marks = list(dict.fromkeys(x.mark for x in column.findings))
+            if column.missing:
+                marks.insert(0, f"{column.missing} missing")
+            if column.kind == TEXT:
+                marks.append(TEXT)
+            yield name, span, step, ", ".join(marks)
+        if len(self.columns) > SHOWN:
+            yield f"... {len(self.columns) - SHOWN} more", "", "", ""
+
+    def plain(self) -> dict[str, Any]:
+        """Return the look as JSON has it."""
+        fields = {name: x for name, x in vars(self).items() if name not in ("columns", "axis")}
+        return fields | {"columns": [column.plain() for column in self.columns]}
+
+    def _head(self) -> str:
+        return f"Look at {self.headline}"
+
+    def _rows(self) -> dict[str, str]:
+        rows: dict[str, str] = {}
+        for name, text in self.rows():
+            rows[name] = f"{rows[name]}; {text}" if name in rows else text
+        return rows
+
+
+def look(
+    data: object, *, time: str | None = None, dt: float | None = None, progress: Progress | None = None
+) -> Look:
+    r"""Look at a recording before there is a model: how it is written, its times, and what each column holds.
+
+    Nothing is refused that a sentence can tell: columns that cannot be read are listed with the reason. What
+    stands still, may stand for a missing sample, or is no level (an angle, a counter) is named. Which columns
+    are inputs only you know: the command takes those that change rarely for some.
+
+    Args:
+        data: a path, as `read` takes it, or a table. time: the column of the time; None: it is found. dt:
+            sampling period in s, for a recording without times. progress: called with the share of the work
+            done.
+
+    Returns:
+        A Look, which `plot` draws.
+
+    Raises:
+        OSError: no such file. ValueError: no column can be read, and why.
+
+    Example:
+        >>> import tempfile, pathlib, jaxbound as jb
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.csv"
+        >>> rows = [f"{3 * k},{k // 30},{(350 + k) % 360},{k % 7}.5" for k in range(60)]
+        >>> _ = path.write_text("\n".join(["time,heater,wind,T [degC]", *rows, ""]))
+        >>> found = jb.look(path)
+        >>> found.dt, [column.unit for column in found.columns], found.columns[1].findings[0].mark
+        (3.0, ['', '', 'degC'], 'angle?')
+        >>> found.command.partition(" --inputs ")[2]
+        "heater --outputs 'wind=angle(wind),T [degC]' --out plant.toml"
+    """
+    report = reporter(progress, "read")
+    outline = kind_of(data).outline(data)
+    kinds = dict(outline.kinds)
+    day, clock = time_column(list(kinds), list(kinds), time, _stamps(kinds), dt)
+    names = [name for name, kind in kinds.items() if kind != TEXT and name not in (day, clock)]
+    asked = _Asked(data, {} if time is None else {"time": time}, dt, clock is not None)
+    recording, troubles = asked.readable(names)
+    report(0.7)
+    columns = []
+    for name, kind in kinds.items():
+        if name in (day, clock):
+            continue
+        if name in recording.outputs:
+            columns.append(_looked(name, recording))
+        elif name in troubles:
+            columns.append(LookedColumn(name, "unread", findings=(Finding("not read", troubles[name]),)))
+        else:
+            columns.append(LookedColumn(name, kind))
+    period, hints, every = _clock_of(recording, clock is not None)
+    edges = np.unique(np.linspace(0, recording.samples, BINS, endpoint=False).astype(int))
+    axis = recording.axis
+    assert axis is not None, "a recording that is read has times"
+    return Look(
+        source=recording.source,
+        how=outline.how,
+        time=clock,
+        samples=recording.samples,
+        first=recording.label(0),
+        last=recording.label(recording.samples - 1),
+        dt=period,
+        columns=tuple(columns),
+        hints=hints,
+        table="",
+        command=_command(data, columns, asked, every),
+        axis=axis[edges],
+    )
+
+
+class _Asked(NamedTuple):
+    """What is read. Fields: data; columns: {"time": its column} where it was named; dt: as `look` takes it;
+    timed: whether there is a column of times.
+    """
+
+    data: object
+    columns: Mapping[str, str]
+    dt: float | None
+    timed: bool
+
+    def read(self, names: Sequence[str]) -> Recording:
+        """Return the Recording of these columns, as outputs, whatever steps its times have."""
+        dt = None if self.timed else self.dt or 1.0
+        source = open_source(
+            self.data, Signals((), tuple(names), dict(self.columns), dt, regular=not self.timed)
+        )
+        if source.parts:
+            return source.read(0, min(source.samples or 0, MOST))
+        return source.read()
+
+    def readable(self, names: Sequence[str]) -> tuple[Recording, dict[str, str]]:
+        """Return (the Recording of the columns that can be read, {column: why it cannot} of the others).
+
+        Raises:
+            ValueError: none can be read.
+        """
+        troubles: dict[str, str] = {}
+        if not names:
+            raise ValueError(f"{self.data}: no column of it begins with a number")
+        try:
+            return self.read(names), troubles
+        except ValueError as e:
+            self._find(names, str(e), troubles)
+        left = [name for name in names if name not in troubles]
+        if not left:
+            raise ValueError(next(iter(troubles.values())))
+        return self.read(left), troubles
+
+    def _find(self, names: Sequence[str], sentence: str, troubles: dict[str, str]) -> None:
+        """Find the columns by halves that make reading fail, as the sentence says; keep why."""
+        if len(names) == 1:
+            troubles[names[0]] = sentence.removeprefix(f"{self.data}: ")
+            return
+        middle = len(names) // 2
+        failed: list[tuple[Sequence[str], str]] = []
+        for half in (names[:middle], names[middle:]):
+            try:
+                self.read(half)
+            except ValueError as e:
+                failed.append((half, str(e)))
+        if len(failed) == 2 and failed[0][1] == failed[1][1]:  # of the file, not of a column
+            raise ValueError(sentence)
+        for half, why in failed:
+            self._find(half, why, troubles)
+
+
+def _stamps(kinds: Mapping[str, str]) -> Any:
+    """Return a function of a column: the kind of a time that it holds, or ""."""
+    return lambda name: "" if kinds[name] in (NUMBER, TEXT) else kinds[name]
+
+
+def _looked(name: str, recording: Recording) -> LookedColumn:
+    """Return the look at a column of numbers."""
+    x = np.ascontiguousarray(recording.y[:, recording.outputs.index(name)], np.float64)
+    there = x[np.isfinite(x)]
+    unit = without_unit(name)[1]
+    if not len(there):
+        return LookedColumn(name, NUMBER, unit, missing=len(x))
+    runs = follow_runs(Runs(), x)
+    findings = []
+    marks = [stretch.kind for stretch in stretches(runs)]
+    sentences = signal_hints(name, runs, recording.label)
+    before = len(sentences) - len(marks)  # numbers that may stand for a missing sample are named first
+    for mark, sentence in zip(["no number?"] * before + marks, sentences, strict=True):
+        findings.append(Finding(mark, sentence))
+    bare = without_unit(name)[0]
+    for sentence in suspicions(bare, name, x):
+        findings.append(Finding("angle?" if "angle(" in sentence else "counter?", sentence))
+    edges = np.unique(np.linspace(0, len(x), BINS, endpoint=False).astype(int))
+    curve = np.stack([np.fmin.reduceat(x, edges), np.fmax.reduceat(x, edges)])
+    return LookedColumn(
+        name,
+        NUMBER,
+        unit,
+        float(there.min()),
+        float(there.max()),
+        recorded_step(x),
+        len(x) - len(there),
+        float(np.mean(np.diff(there) != 0)) if len(there) > 1 else 0.0,
+        tuple(findings),
+        curve,
+    )
+
+
+def _clock_of(recording: Recording, timed: bool) -> tuple[float | None, tuple[str, ...], str]:
+    """Return (sampling period in s or None, sentences on rows and gaps, the interval that serves, "" where
+    none is needed).
+    """
+    hints = [hint for hint in recording.hints if not any(word in hint for word in WORDS)]
+    if not timed:
+        return None, tuple(hints), ""
+    time = np.asarray(recording.time, float)
+    try:
+        period = usual_period(time)
+    except ValueError as e:
+        return None, (*hints, str(e)), ""
+    clock, _ = tick(Clock(period), time)
+    varied = varied_steps(time)
+    if varied:
+        return period, (*hints, varied), varied_interval(time)
+    return period, (*hints, *seam_hints(clock, recording.label, "sample {}".format)), ""
+
+
+def _command(data: object, columns: Sequence[LookedColumn], asked: _Asked, every: str) -> str:
+    """Return the command that fits a model to a recording."""
+    signals = [column for column in columns if column.entry]
+    inputs = [column.entry for column in signals if column.changes <= SET and column.entry[-1] != ")"]
+    if len(inputs) == len(signals):
+        inputs = []
+    outputs = [column.entry for column in signals if column.entry not in inputs]
+    words = ["jaxbound", "fit", str(data) if isinstance(data, str | PathLike) else "FILE"]
+    for option, entries in (("--inputs", inputs), ("--outputs", outputs)):
+        if entries:
+            more = ["..."] if len(entries) > NAMED else []
+            words += [option, ",".join([*entries[:NAMED], *more])]
+    if "time" in asked.columns:
+        words += ["--time", asked.columns["time"]]
+    if every:
+        words += ["--every", every]
+    elif not asked.timed:
+        words += ["--dt", f"{asked.dt:g}" if asked.dt else "SECONDS"]
+    return shlex.join([*words, "--out", "plant.toml"])
