@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 NAME = "look"
 HELP = "show what a recording holds, before there is a model"
 EXAMPLES = (
-    ("jaxbound look run.csv", "how it is written, its times and gaps, each column, the command to go on with"),
+    (
+        "jaxbound look run.csv",
+        "how it is written, its times and gaps, each column, the command to go on with",
+    ),
     ("jaxbound look run.csv --out run.html", "the same as a page, with a picture of each column"),
 )
 CODES = "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted"

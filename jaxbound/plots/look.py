@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from jaxbound.plots.canvas import ENVELOPE, FAULTY, GRID, INK, PANELS, canvas, label_time, style, time_axis
 from jaxbound.plots.plot import plot
 from jaxbound.recordings.look import Look
@@ -11,6 +13,7 @@ if TYPE_CHECKING:
 
 MOST = 5 * PANELS
 """Columns that are drawn; of a recording with more, the first."""
+GAP = 5  # usual steps between bins from which on there is a gap
 
 
 @plot.register(Look)
@@ -20,6 +23,8 @@ def plot_look(found: Look) -> "Figure":
     """
     drawn = [column for column in found.columns if column.curve is not None]
     at, label, dates = time_axis(found.axis)
+    steps = np.diff(at)
+    gaps = np.flatnonzero(steps > GAP * np.median(steps)) + 1  # no line leads across
     with style():
         rows = -(-max(len(drawn[:MOST]), 1) // 2)
         fig = canvas((11, 0.4 + 1.5 * rows), "constrained")
@@ -27,9 +32,10 @@ def plot_look(found: Look) -> "Figure":
         for ax, column in zip(axes.ravel(), drawn, strict=False):
             assert column.curve is not None, "it is drawn"
             low, high = column.curve
-            ax.fill_between(at, low, high, color=ENVELOPE, alpha=0.5, lw=0)
-            ax.plot(at, low, color=INK, lw=0.7)
-            ax.plot(at, high, color=INK, lw=0.7)
+            for part in np.split(np.arange(len(at)), gaps):
+                ax.fill_between(at[part], low[part], high[part], color=ENVELOPE, alpha=0.5, lw=0)
+                for curve in (low, high):
+                    ax.plot(at[part], curve[part], color=INK, lw=0.7)
             marks = ", ".join(dict.fromkeys(x.mark for x in column.findings))
             title = f"{column.name[:60]}   {marks}".rstrip()
             ax.set_title(title, parse_math=False, color=FAULTY if marks else INK)

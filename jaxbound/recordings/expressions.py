@@ -72,7 +72,8 @@ def rate(step: np.ndarray, x: np.ndarray, over: float | None = None) -> np.ndarr
     if over is not None:
         again = grown + over
         grown = np.where((grown < 0) & (again <= WRAPS * over), again, grown)
-    return np.where(grown < 0, np.nan, grown) / step
+    grows: np.ndarray = np.where(grown < 0, np.nan, grown) / step
+    return grows
 
 
 FUNCTIONS: dict[str, Operation] = {name: getattr(np, name) for name in NAMES_OF_FUNCTIONS}
@@ -214,10 +215,11 @@ class Expression:
                 if column.dtype.kind == "f":
                     return column.astype(np.float64, copy=False)
                 return column
-            case ast.Call(func=ast.Name(id="rate")):
-                return rate(columns[STEP], *parts)
             case ast.Call():
-                return FUNCTIONS[ast.unparse(node.func)](*parts)
+                called = ast.unparse(node.func)
+                if called == RATE:
+                    parts = [columns[STEP], *parts]
+                return FUNCTIONS[called](*parts)
             case ast.BoolOp():
                 return reduce(LOGIC[type(node.op)], parts)
             case ast.Compare():
@@ -370,9 +372,7 @@ def expression(text: str) -> Expression:
     return Expression(text, columns, frozenset(names[x] for x in texts), names, tree)
 
 
-def with_angles(
-    names: Iterable[str], columns: Mapping[str, str]
-) -> tuple[tuple[str, ...], dict[str, str]]:
+def with_angles(names: Iterable[str], columns: Mapping[str, str]) -> tuple[tuple[str, ...], dict[str, str]]:
     """Return (names, columns) in which two signals stand for one that is an angle: its sine and its cosine.
 
     Args:

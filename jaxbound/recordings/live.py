@@ -106,7 +106,9 @@ class Readings(Stream):
                 f"{TIME_SINCE_START} is of a file or a pipe: a reading does not tell when others began"
             )
         if looks_back(model):
-            raise ValueError(f"{looks_back(model)!r} is of a file or a pipe: a reading alone has no row before")
+            raise ValueError(
+                f"{looks_back(model)!r} is of a file or a pipe: a reading alone has no row before"
+            )
         self.raw = iter(readings)
         self.resumed = memory is not None
         if memory is not None:

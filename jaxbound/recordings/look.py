@@ -19,7 +19,6 @@ from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.source import NUMBER, TEXT
 from jaxbound.recordings.stillness import Runs, follow_runs, signal_hints, stretches
 from jaxbound.recordings.suspects import suspicions
-from jaxbound.text.names import listed
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress, reporter
 from jaxbound.text.units import without_unit
@@ -114,8 +113,13 @@ class Look:
     @property
     def headline(self) -> str:
         """What there is, in one line."""
+        return f"{self.source}: {self.extent}"
+
+    @property
+    def extent(self) -> str:
+        """How much there is."""
         signals = [column for column in self.columns if column.kind == NUMBER]
-        return f"{self.source}: {self.samples} samples of {len(signals)} columns of numbers"
+        return f"{self.samples} samples of {len(signals)} columns of numbers"
 
     def rows(self) -> Iterator[tuple[str, str]]:
         """Yield (name, text): how it was read, its times, what should be asked, and how to go on."""
@@ -134,13 +138,15 @@ class Look:
             yield "", f"{len(findings) - SHOWN} sentences more: --json has all"
         yield "go on", self.command
 
-    def cells(self) -> Iterator[Sequence[str]]:
-        """Yield rows of cells, a column of the recording each, their names first."""
+    def cells(self, wide: int = WIDE) -> Iterator[Sequence[str]]:
+        """Yield rows of cells, a column of the recording each, their names first; names of so many letters at
+        most.
+        """
         yield "column", "range", "step", "remarks"
         for column in self.columns[:SHOWN]:
             name, span, step = column.name, "", ""
-            if len(name) > WIDE:  # names of one plant begin alike
-                name = f"{name[:8]}...{name[11 - WIDE :]}"
+            if len(name) > wide:  # names of one plant begin alike
+                name = f"{name[:8]}...{name[11 - wide :]}"
             if column.kind == NUMBER:
                 span, step = f"{column.low:.5g} .. {column.high:.5g}", f"{column.resolution or '':.4}"
             marks = list(dict.fromkeys(x.mark for x in column.findings))

@@ -393,8 +393,8 @@ def open_parquet(path: str | PathLike[str], model: SignalModel) -> ParquetSource
     plan = plan_of(list(types), types, model, dated)
     if not getattr(model, "regular", True) and looks_back(model):
         raise ValueError(
-            f"{path}: {looks_back(model)!r} and means over intervals do not go together in Parquet: compute the "
-            f"rate beforehand, as a column"
+            f"{path}: {looks_back(model)!r} and means over intervals do not go together in Parquet: compute "
+            f"the rate beforehand, as a column"
         )
     single = any(types.get(c) == pa.float32() for signal in plan.outputs for c in signal.read)
     dtype = np.dtype(np.float32 if single else np.float64)

@@ -131,8 +131,8 @@ class Wanted:
         Args:
             columns: {name: (N,) floats, or what `Expression.values` takes}. count: N. moments: (s since the
                 first sample of the recording, dates or None). dtype: of y; u is as wide as its widest column.
-            first: number of the first sample, for sentences. dt: sampling period in s; None: the model's, or as the
-                times show it.
+            first: number of the first sample, for sentences. dt: sampling period in s; None: the model's, or
+                as the times show it.
 
         Raises:
             ValueError: see `Expression.values` and `derived`; a factor that is none.

@@ -23,7 +23,18 @@ from jaxbound.recordings.signals import Named, SignalModel
 from jaxbound.recordings.stillness import still_hints
 from jaxbound.text.progress import Progress, reporter
 
-__all__ = ["KINDS", "NUMBER", "Outline", "PROBE", "TEXT", "PartSource", "Progress", "Source", "register", "with_hints"]
+__all__ = [
+    "KINDS",
+    "NUMBER",
+    "Outline",
+    "PROBE",
+    "TEXT",
+    "PartSource",
+    "Progress",
+    "Source",
+    "register",
+    "with_hints",
+]
 
 PROBE = 100_000  # samples that show the sampling period, the unit of time and the rounding of the recorder
 NUMBER, TEXT = "number", "text"

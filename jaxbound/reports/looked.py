@@ -8,12 +8,12 @@ from jaxbound.reports.page import render
 
 def look_page(found: Look) -> str:
     """Return the HTML text."""
-    head, *cells = found.cells()
+    head, *cells = found.cells(wide=80)
     return render(
         "look.html",
         name=found.source,
         verdict="look",
-        sentence=found.headline,
+        sentence=found.extent,
         rows=list(found.rows()),
         head=head,
         cells=cells,

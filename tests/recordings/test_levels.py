@@ -101,7 +101,9 @@ def test_what_an_angle_and_a_rate_take(text, sentence):
 
 
 def test_an_angle_stands_for_two_signals():
-    names, columns = with_angles(["d", "T", "s"], {"d": "=angle(`wind dir`, 400)", "s": "= angle(a) < angle(b)"})
+    names, columns = with_angles(
+        ["d", "T", "s"], {"d": "=angle(`wind dir`, 400)", "s": "= angle(a) < angle(b)"}
+    )
     assert names == ("d sin", "d cos", "T", "s")
     assert columns["d cos"] == "= cos(angle(`wind dir`, 400))"
     assert expression(columns["d sin"]).values({"wind dir": np.array([100.0])}) == pytest.approx([1.0])
