@@ -17,6 +17,7 @@ from os import PathLike
 
 from jaxbound.models.arguments import table_argument, taking_fields
 from jaxbound.recordings.means import with_every
+from jaxbound.recordings.recordingformat import Stated, with_format
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification.advice import inputs_at_rest
@@ -54,6 +55,7 @@ def fit(
     name: str = "fitted",
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
+    recording: Stated = None,
     progress: Callable[[float], object] | None = None,
     **fields: object,
 ) -> Fitted:
@@ -74,8 +76,8 @@ def fit(
         inputs, outputs: names; needed with tables and paths. dt: sampling period in s; None: what the times
             of tables, paths or a Recording say, else 1. every: an interval of the clock, like "15min":
             samples are the means of what was recorded within each, and the model keeps it.
-        name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called
-            with the share of the work done.
+        name, units, columns: as of a LinearSystem; tables are read by these columns too. recording: how
+            files are written, see `RecordingFormat`. progress: called with the share of the work done.
         fields: fields of the recipe that are to differ from it, like order=1, horizon=30.
 
     Returns:
@@ -96,7 +98,7 @@ def fit(
     plan = recipe_of(recipe, fields)
     columns = table_argument("columns", columns, "{'Q': 'Heater 1'}")
     units = table_argument("units", units, "{'T': 'degC'}")
-    columns, dt = with_every(columns, dt, every)
+    columns, dt = with_every(with_format(columns, recording), dt, every)
     report = reporter(progress, "fit")
     begin_with = names_of("inputs", inputs)
     pool: dict[str, str] = {}
