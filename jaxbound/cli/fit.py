@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import FORCE, JSON, Options, every
+from jaxbound.cli.options import FORCE, JSON, Options, reading
 from jaxbound.cli.terminal import OK, door, progress_bars, some_device
 from jaxbound.text.quantities import decimal
 
@@ -45,14 +45,13 @@ OPTIONS = Options(
         "faults; follow=auto: bounds follow the operating point; signals=auto: choose inputs; method: least "
         "squares, windows, filters, auto; safety (default: 1.25); held_out (default: 0.3)",
         "--out MODEL.toml": "the model file to write",
-        **every("as recorded"),
+        **reading("as recorded"),
     },
     {"dt": decimal},
     {"inputs": "", "outputs": ""},
     ("out",),
     more={
         "--where EXPR": "condition on columns: samples where it does not hold are no part of the recording",
-        "--time COLUMN": "of the time stamps (default: a column that looks like time)",
         "--dt SECONDS": "sampling period (default: the median step of the time)",
         "--name NAME": "of the plant (default: that of the model file)",
         "--plot PNG": "picture: how much of the bounds each window needs",
@@ -137,14 +136,15 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
     from jaxbound.cli.fit_summary import named_units, signal_columns
     from jaxbound.models.modelfile import load_model
     from jaxbound.recordings.expressions import with_angles
+    from jaxbound.recordings.recordingformat import with_format
     from jaxbound.recordings.signals import Signals
 
-    own = {name: value for name in ("time", "where", "every") if (value := getattr(args, name))}
+    own = {"where": args.where} if args.where else {}
     if file is not None and not args.outputs:
         if args.inputs:
             raise ValueError(f"--inputs without --outputs: give both, or none for the signals of {file}")
         model = load_model(file)
-        columns = dict(model.columns) | own
+        columns = with_format(dict(model.columns) | own, args.recording)
         signals = Signals(model.inputs, model.outputs, columns, args.dt or model.dt)
         return signals, dict(model.units), args.name or model.name
     if not args.outputs:
@@ -152,7 +152,7 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
     inputs, outputs = signal_columns("--inputs", args.inputs), signal_columns("--outputs", args.outputs)
     inputs, outputs, units = named_units(inputs, outputs)
     columns = own | dict(signal for signal in (*inputs, *outputs) if not isinstance(signal, str))
-    input_names, columns = with_angles(_names(inputs), columns)
+    input_names, columns = with_angles(_names(inputs), with_format(columns, args.recording))
     output_names, columns = with_angles(_names(outputs), columns)
     signals = Signals(input_names, output_names, columns, args.dt)
     return signals, units, args.name or args.out.stem

@@ -3,10 +3,11 @@
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import FORCE, JSON, Options
+from jaxbound.cli.options import FORCE, JSON, Options, reading
 from jaxbound.cli.terminal import OK, Conclusion, Row, Table, door, progress_bars
 from jaxbound.text.quantities import decimal
 
@@ -27,7 +28,7 @@ OPTIONS = Options(
     {
         "data DATA": "a CSV file, a Parquet file or a folder of these",
         "--out FILE": "a page (.html) or a picture of each column (.png) to write",
-        "--time COLUMN": "of the time stamps (default: a column that looks like time)",
+        **reading("as recorded"),
         "--dt SECONDS": "sampling period of a recording without times",
         **FORCE,
         **JSON,
@@ -77,7 +78,9 @@ def run(args: argparse.Namespace) -> int:
     if args.out:
         refuse_targets({"--out": args.out}, [args.data], args.force)
     with door(), progress_bars(("read",)) as step:
-        found = look(args.data, time=args.time, dt=args.dt, progress=lambda share: step("read", share))
+        found = look(
+            args.data, recording=args.recording, dt=args.dt, progress=lambda share: step("read", share)
+        )
         if args.out:
             is_picture = args.out.suffix.lower() == ".png"
             put(args.out, to_png(plot_look(found)) if is_picture else look_page(found).encode())

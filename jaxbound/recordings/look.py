@@ -13,6 +13,7 @@ import numpy as np
 from jaxbound.recordings.hints import recorded_step
 from jaxbound.recordings.read import kind_of, open_source
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import NAMED_SIGNS, RECORDING, RecordingFormat, Stated, with_format
 from jaxbound.recordings.seams import Clock, seam_hints, tick, usual_period, varied_interval, varied_steps
 from jaxbound.recordings.selection import time_column
 from jaxbound.recordings.signals import Signals
@@ -174,7 +175,7 @@ class Look:
 
 
 def look(
-    data: object, *, time: str | None = None, dt: float | None = None, progress: Progress | None = None
+    data: object, *, recording: Stated = None, dt: float | None = None, progress: Progress | None = None
 ) -> Look:
     r"""Look at a recording before there is a model: how it is written, its times, and what each column holds.
 
@@ -183,7 +184,7 @@ def look(
     are inputs only you know: the command takes those that change rarely for some.
 
     Args:
-        data: a path, as `read` takes it, or a table. time: the column of the time; None: it is found. dt:
+        data: a path, as `read` takes it, or a table. recording: how the file is written, as for `read`. dt:
             sampling period in s, for a recording without times. progress: called with the share of the work
             done.
 
@@ -205,34 +206,35 @@ def look(
         "heater --outputs 'wind=angle(wind),T [degC]' --out plant.toml"
     """
     report = reporter(progress, "read")
+    stated = with_format({}, recording)
     outline = kind_of(data).outline(data)
     kinds = dict(outline.kinds)
-    day, clock = time_column(list(kinds), list(kinds), time, _stamps(kinds), dt)
+    day, clock = time_column(list(kinds), list(kinds), stated.get("time"), _stamps(kinds), dt)
     names = [name for name, kind in kinds.items() if kind != TEXT and name not in (day, clock)]
-    asked = _Asked(data, {} if time is None else {"time": time}, dt, clock is not None)
-    recording, troubles = asked.readable(names)
+    asked = _Asked(data, stated, dt, clock is not None)
+    run, troubles = asked.readable(names)
     report(0.7)
     columns = []
     for name, kind in kinds.items():
         if name in (day, clock):
             continue
-        if name in recording.outputs:
-            columns.append(_looked(name, recording))
+        if name in run.outputs:
+            columns.append(_looked(name, run))
         elif name in troubles:
             columns.append(LookedColumn(name, "unread", findings=(Finding("not read", troubles[name]),)))
         else:
             columns.append(LookedColumn(name, kind))
-    period, hints, every = _clock_of(recording, clock is not None)
-    edges = np.unique(np.linspace(0, recording.samples, BINS, endpoint=False).astype(int))
-    axis = recording.axis
+    period, hints, every = _clock_of(run, clock is not None)
+    edges = np.unique(np.linspace(0, run.samples, BINS, endpoint=False).astype(int))
+    axis = run.axis
     assert axis is not None, "a recording that is read has times"
     return Look(
-        source=recording.source,
+        source=run.source,
         how=outline.how,
         time=clock,
-        samples=recording.samples,
-        first=recording.label(0),
-        last=recording.label(recording.samples - 1),
+        samples=run.samples,
+        first=run.label(0),
+        last=run.label(run.samples - 1),
         dt=period,
         columns=tuple(columns),
         hints=hints,
@@ -243,7 +245,7 @@ def look(
 
 
 class _Asked(NamedTuple):
-    """What is read. Fields: data; columns: {"time": its column} where it was named; dt: as `look` takes it;
+    """What is read. Fields: data; columns: what is stated of how it is written; dt: as `look` takes it;
     timed: whether there is a column of times.
     """
 
@@ -367,10 +369,21 @@ def _command(data: object, columns: Sequence[LookedColumn], asked: _Asked, every
         if entries:
             more = ["..."] if len(entries) > NAMED else []
             words += [option, ",".join([*entries[:NAMED], *more])]
-    if "time" in asked.columns:
-        words += ["--time", asked.columns["time"]]
+    stated = dict(asked.columns)
     if every:
-        words += ["--every", every]
-    elif not asked.timed:
+        stated.setdefault("every", every)
+    fields = RecordingFormat.of(stated.pop(RECORDING, None)).stated
+    if fields:
+        words += ["--recording", ",".join(f"{name}={_on_a_line(value)}" for name, value in fields.items())]
+    for name, value in stated.items():
+        words += [f"--{name}", value]
+    if not asked.timed:
         words += ["--dt", f"{asked.dt:g}" if asked.dt else "SECONDS"]
     return shlex.join([*words, "--out", "plant.toml"])
+
+
+def _on_a_line(value: object) -> str:
+    """Return a field of a format as a command line takes it."""
+    if isinstance(value, tuple):
+        return ",".join(map(_on_a_line, value))
+    return next((name for name, sign in NAMED_SIGNS.items() if sign == value), str(value))

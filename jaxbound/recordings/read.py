@@ -19,6 +19,7 @@ from jaxbound.recordings.means import every_of, with_every
 from jaxbound.recordings.meansource import means_source
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import Formatted, Stated
 from jaxbound.recordings.seams import FEW, TOLERATED_DT, UNITS, varied_steps
 from jaxbound.recordings.signals import Named, SignalModel, Signals, signals_of
 from jaxbound.recordings.source import KINDS, Outline, Source
@@ -31,7 +32,7 @@ Signal = str | tuple[str, str]
 """A name, or (name, column)."""
 
 
-def read(path: object, model: Named, progress: Progress | None = None) -> Recording:
+def read(path: object, model: Named, progress: Progress | None = None, recording: Stated = None) -> Recording:
     r"""Read the signals of a model from a CSV file, a Parquet file or a folder of Parquet files, which follow
     each other by name.
 
@@ -46,6 +47,8 @@ def read(path: object, model: Named, progress: Progress | None = None) -> Record
         model: whose signals are wanted: a LinearSystem, an IntervalSystem, relations, an observer or a
             monitor of one, or anything else with names of .inputs and .outputs.
         progress: called with the share of the work done.
+        recording: how the file is written, a `RecordingFormat` or a mapping with its fields, beside what the
+            model states of it.
 
     Returns:
         A Recording, which every verb takes in the place of u: detect(relations, read("run.csv", model)).
@@ -70,6 +73,8 @@ def read(path: object, model: Named, progress: Progress | None = None) -> Record
         array([0, 1, 3, 0, 1], dtype=int8)
     """
     report = reporter(progress, "read")
+    if recording is not None:
+        model = Formatted(signals_of(model), recording)
     return open_source(path, model).read(progress=report)
 
 

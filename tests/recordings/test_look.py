@@ -74,7 +74,9 @@ def test_every_kind_of_recording_looks_the_same(tmp_path, rng, kind):
         table[50:].to_parquet(tmp_path / "run" / "2.parquet")
         table.to_parquet(tmp_path / "run.parquet")
     one, other = jb.look(tmp_path / "run.csv"), jb.look(data)
-    assert [str(column.plain()) for column in one.columns] == [str(column.plain()) for column in other.columns]
+    assert [str(column.plain()) for column in one.columns] == [
+        str(column.plain()) for column in other.columns
+    ]
     assert (one.samples, one.dt, one.first, one.time) == (other.samples, other.dt, other.first, other.time)
 
 

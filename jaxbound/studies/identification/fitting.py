@@ -18,6 +18,7 @@ from os import PathLike
 from jaxbound.models.arguments import table_argument, taking_fields
 from jaxbound.recordings.expressions import with_angles
 from jaxbound.recordings.means import with_every
+from jaxbound.recordings.recordingformat import Stated, with_format
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification.advice import inputs_at_rest
@@ -55,6 +56,7 @@ def fit(
     name: str = "fitted",
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
+    recording: Stated = None,
     progress: Callable[[float], object] | None = None,
     **fields: object,
 ) -> Fitted:
@@ -76,8 +78,8 @@ def fit(
             of tables, paths or a Recording say, else 1. every: an interval of the clock, like "15min":
             samples are the means of what was recorded within each, and the model keeps it.
         name, units, columns: as of a LinearSystem; tables are read by these columns too. Of a column
-            "= angle(wind)" the signal becomes two, its sine and its cosine. progress: called with the share
-            of the work done.
+            "= angle(wind)" the signal becomes two, its sine and its cosine. recording: how files are written,
+            see `RecordingFormat`. progress: called with the share of the work done.
         fields: fields of the recipe that are to differ from it, like order=1, horizon=30.
 
     Returns:
@@ -98,7 +100,7 @@ def fit(
     plan = recipe_of(recipe, fields)
     columns = table_argument("columns", columns, "{'Q': 'Heater 1'}")
     units = table_argument("units", units, "{'T': 'degC'}")
-    columns, dt = with_every(columns, dt, every)
+    columns, dt = with_every(with_format(columns, recording), dt, every)
     report = reporter(progress, "fit")
     inputs = begin_with = names_of("inputs", inputs)
     if begin_with is not None:
