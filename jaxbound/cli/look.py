@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import swift_imports
@@ -44,7 +45,7 @@ class Looked(Conclusion):
 
     @property
     def headline(self) -> str:
-        """What there is, in one line."""
+        """The name of the recording and its extent."""
         return self.look.headline
 
     def rows(self) -> Iterator[Row]:
@@ -74,14 +75,14 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.reports.looked import look_page
         from jaxbound.runs.outputs import refuse_targets
 
-    if args.out:
-        refuse_targets({"--out": args.out}, [args.data], args.force)
+    written = list(filter(None, [args.out]))
+    refuse_targets({"--out": args.out}, [args.data], args.force)
     with door(), progress_bars(("read",)) as step:
-        found = look(
-            args.data, recording=args.recording, dt=args.dt, progress=lambda share: step("read", share)
-        )
-        if args.out:
-            is_picture = args.out.suffix.lower() == ".png"
-            put(args.out, to_png(plot_look(found)) if is_picture else look_page(found).encode())
-    Looked(found, written=[args.out] if args.out else []).show(args.json)
+        found = look(args.data, recording=args.recording, dt=args.dt, progress=partial(step, "read"))
+        for path in written:
+            page = look_page(found).encode()
+            if path.suffix.lower() == ".png":
+                page = to_png(plot_look(found))
+            put(path, page)
+    Looked(found, written=written).show(args.json)
     return OK

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxbound.plots.canvas import ENVELOPE, FAULTY, GRID, INK, PANELS, canvas, label_time, style, time_axis
 from jaxbound.plots.plot import plot
-from jaxbound.recordings.look import Look
+from jaxbound.recordings.look import Look, LookedColumn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,7 +21,10 @@ def plot_look(found: Look) -> "Figure":
     """Draw a Look: each column of numbers over time, as the extremes of its bins; what should be asked of it
     is in its title.
     """
-    drawn = [column for column in found.columns if column.curve is not None]
+    drawn: list[LookedColumn] = []
+    for column in found.columns:
+        if column.curve is not None:
+            drawn.append(column)
     at, label, dates = time_axis(found.axis)
     steps = np.diff(at)
     gaps = np.flatnonzero(steps > GAP * np.median(steps)) + 1  # no line leads across
@@ -36,9 +39,10 @@ def plot_look(found: Look) -> "Figure":
                 ax.fill_between(at[part], low[part], high[part], color=ENVELOPE, alpha=0.5, lw=0)
                 for curve in (low, high):
                     ax.plot(at[part], curve[part], color=INK, lw=0.7)
-            marks = ", ".join(dict.fromkeys(x.mark for x in column.findings))
-            title = f"{column.name[:60]}   {marks}".rstrip()
-            ax.set_title(title, parse_math=False, color=FAULTY if marks else INK)
+            title, colour = column.name[:60], INK
+            if column.findings:
+                title, colour = f"{title}   {', '.join(column.marks)}", FAULTY
+            ax.set_title(title, parse_math=False, color=colour)
             ax.grid(color=GRID, lw=0.7)
             label_time(ax, at, label, dates)
         for ax in axes.ravel()[len(drawn) :]:

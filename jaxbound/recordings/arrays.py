@@ -231,7 +231,9 @@ def _told_by_clock(
     since = times.time
     if since is not None and len(since):
         since = since - since[0]
-    dt = period(model, since) if model is not None else None
+    dt = None
+    if model is not None:
+        dt = period(model, since)
     return derived(e.clock, len(index), since, times.stamps, dt)
 
 

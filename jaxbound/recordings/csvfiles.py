@@ -2,7 +2,8 @@
 names.
 """
 
-from itertools import islice
+from functools import partial
+from itertools import chain, islice
 from os import PathLike
 from pathlib import Path
 from typing import IO
@@ -46,9 +47,10 @@ class CsvFile(Source):
         rows = list(filter(any, map(layout.cells, lines)))
         kinds: dict[str, str] = {}
         for i, name in enumerate(layout.names):
-            cells = [row[i] for row in rows if i < len(row) and row[i] not in MISSING_CELLS]
+            cells = {*chain.from_iterable(row[i : i + 1] for row in rows)} - {*MISSING_CELLS}
             kinds[name] = layout.dated(name) or NUMBER
-            if cells and kinds[name] == NUMBER and not any(is_number(x, layout.decimal) for x in cells):
+            is_number_here = partial(is_number, decimal=layout.decimal)
+            if kinds[name] == NUMBER and cells and not any(map(is_number_here, cells)):
                 kinds[name] = TEXT
         encoding = {"utf-8": "UTF-8", "cp1252": "Windows-1252"}.get(layout.encoding, layout.encoding)
         parted = {"\t": "tabs"}.get(layout.delimiter, repr(layout.delimiter))

@@ -448,7 +448,7 @@ def _check_second(text: str, node: ast.Call, name: str) -> None:
     if not node.args or not any(isinstance(part, ast.Name) for part in ast.walk(first)):
         raise ValueError(f"the expression {text!r} gives {name} no column")
     for other in others:
-        number = other.value if isinstance(other, ast.Constant) else None
+        number = getattr(other, "value", None)
         if len(others) > 1 or not isinstance(number, int | float) or not number > 0:
             like = {ANGLE: "400 of gon", RATE: "65536"}[name]
             raise ValueError(

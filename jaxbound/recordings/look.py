@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -29,11 +30,10 @@ BINS = 600  # of a picture
 SET = 0.2  # share of steps up to which a column that is set by somebody changes
 SHOWN, NAMED = 40, 12  # columns of the table, names of the command, that are shown at most
 WIDE = 26  # letters of a name in the table
-WORDS = ("samples are missing", "has a gap", "gaps, the longest")
 
 
 class Finding(NamedTuple):
-    """What a column should be asked about. Fields: mark: a word, for a table; sentence."""
+    """A doubt about a column. Fields: mark: it in a word, for a table; sentence."""
 
     mark: str
     sentence: str
@@ -75,10 +75,32 @@ class LookedColumn:
             return f"`{self.name}`"
         return self.name
 
+    def cells(self, wide: int) -> tuple[str, str, str, str]:
+        """Return its name, of so many letters at most, its range, its step and remarks."""
+        name, span, step = self.name, "", ""
+        if len(name) > wide:  # names of one plant begin alike
+            name = f"{name[:8]}...{name[11 - wide :]}"
+        if self.kind == NUMBER:
+            span = f"{self.low:.5g} .. {self.high:.5g}"
+        if self.resolution:
+            step = f"{self.resolution:.4g}"
+        remarks: list[str] = []
+        if self.missing:
+            remarks.append(f"{self.missing} missing")
+        if self.kind == TEXT:
+            remarks.append(TEXT)
+        return name, span, step, ", ".join([*remarks, *self.marks])
+
+    @property
+    def marks(self) -> list[str]:
+        """The marks of its findings, each once."""
+        return list(dict.fromkeys(finding.mark for finding in self.findings))
+
     def plain(self) -> dict[str, Any]:
         """Return the fields as JSON has them."""
-        fields = {name: x for name, x in vars(self).items() if name not in ("curve", "findings")}
-        return fields | {"findings": [finding._asdict() for finding in self.findings]}
+        fields = vars(self) | {"findings": [finding._asdict() for finding in self.findings]}
+        del fields["curve"]
+        return fields
 
 
 @readable
@@ -113,14 +135,19 @@ class Look:
 
     @property
     def headline(self) -> str:
-        """What there is, in one line."""
+        """The name of the file and its extent, in one line."""
         return f"{self.source}: {self.extent}"
 
     @property
     def extent(self) -> str:
-        """How much there is."""
-        signals = [column for column in self.columns if column.kind == NUMBER]
-        return f"{self.samples} samples of {len(signals)} columns of numbers"
+        """The numbers of samples and of columns, in words."""
+        kinds = [column.kind for column in self.columns]
+        return f"{self.samples} samples of {kinds.count(NUMBER)} columns of numbers"
+
+    @property
+    def findings(self) -> list[Finding]:
+        """The doubts about all columns."""
+        return list(chain.from_iterable(column.findings for column in self.columns))
 
     def rows(self) -> Iterator[tuple[str, str]]:
         """Yield (name, text): how it was read, its times, what should be asked, and how to go on."""
@@ -132,9 +159,11 @@ class Look:
         if self.time is not None:
             clock = f"{self.first} to {self.last}, {apart} (column {self.time!r})"
         yield "time", clock
-        yield from (("recording", hint) for hint in self.hints)
-        findings = [("column", x.sentence) for column in self.columns for x in column.findings]
-        yield from findings[:SHOWN]
+        for hint in self.hints:
+            yield "recording", hint
+        findings = self.findings
+        for finding in findings[:SHOWN]:
+            yield "column", finding.sentence
         if len(findings) > SHOWN:
             yield "", f"{len(findings) - SHOWN} sentences more: --json has all"
         yield "go on", self.command
@@ -145,24 +174,15 @@ class Look:
         """
         yield "column", "range", "step", "remarks"
         for column in self.columns[:SHOWN]:
-            name, span, step = column.name, "", ""
-            if len(name) > wide:  # names of one plant begin alike
-                name = f"{name[:8]}...{name[11 - wide :]}"
-            if column.kind == NUMBER:
-                span, step = f"{column.low:.5g} .. {column.high:.5g}", f"{column.resolution or '':.4}"
-            marks = list(dict.fromkeys(x.mark for x in column.findings))
-            if column.missing:
-                marks.insert(0, f"{column.missing} missing")
-            if column.kind == TEXT:
-                marks.append(TEXT)
-            yield name, span, step, ", ".join(marks)
+            yield column.cells(wide)
         if len(self.columns) > SHOWN:
             yield f"... {len(self.columns) - SHOWN} more", "", "", ""
 
     def plain(self) -> dict[str, Any]:
         """Return the look as JSON has it."""
-        fields = {name: x for name, x in vars(self).items() if name not in ("columns", "axis")}
-        return fields | {"columns": [column.plain() for column in self.columns]}
+        fields = vars(self) | {"columns": [column.plain() for column in self.columns]}
+        del fields["axis"]
+        return fields
 
     def _head(self) -> str:
         return f"Look at {self.headline}"
@@ -170,7 +190,8 @@ class Look:
     def _rows(self) -> dict[str, str]:
         rows: dict[str, str] = {}
         for name, text in self.rows():
-            rows[name] = f"{rows[name]}; {text}" if name in rows else text
+            before = rows.get(name, "")
+            rows[name] = f"{before}; {text}".removeprefix("; ")
         return rows
 
 
@@ -209,15 +230,15 @@ def look(
     stated = with_format({}, recording)
     outline = kind_of(data).outline(data)
     kinds = dict(outline.kinds)
-    day, clock = time_column(list(kinds), list(kinds), stated.get("time"), _stamps(kinds), dt)
-    names = [name for name, kind in kinds.items() if kind != TEXT and name not in (day, clock)]
-    asked = _Asked(data, stated, dt, clock is not None)
-    run, troubles = asked.readable(names)
+    times = {name: kind.replace(NUMBER, "").replace(TEXT, "") for name, kind in kinds.items()}
+    day, clock = time_column(list(kinds), list(kinds), stated.get("time"), times.__getitem__, dt)
+    for name in (day, clock):
+        kinds.pop(str(name), None)
+    door = _Door(data, stated, dt, clock is not None)
+    run, troubles = door.readable([name for name, kind in kinds.items() if kind != TEXT])
     report(0.7)
-    columns = []
+    columns: list[LookedColumn] = []
     for name, kind in kinds.items():
-        if name in (day, clock):
-            continue
         if name in run.outputs:
             columns.append(_looked(name, run))
         elif name in troubles:
@@ -225,7 +246,6 @@ def look(
         else:
             columns.append(LookedColumn(name, kind))
     period, hints, every = _clock_of(run, clock is not None)
-    edges = np.unique(np.linspace(0, run.samples, BINS, endpoint=False).astype(int))
     axis = run.axis
     assert axis is not None, "a recording that is read has times"
     return Look(
@@ -239,14 +259,19 @@ def look(
         columns=tuple(columns),
         hints=hints,
         table="",
-        command=_command(data, columns, asked, every),
-        axis=axis[edges],
+        command=_command(door, columns, every),
+        axis=axis[_edges(run.samples)],
     )
 
 
-class _Asked(NamedTuple):
-    """What is read. Fields: data; columns: what is stated of how it is written; dt: as `look` takes it;
-    timed: whether there is a column of times.
+def _edges(samples: int) -> np.ndarray:
+    """Return the first sample of each bin of a picture."""
+    return np.unique(np.linspace(0, samples, BINS, endpoint=False).astype(int))
+
+
+class _Door(NamedTuple):
+    """The door of a recording. Fields: data; columns: of signals, with what is stated of how it is written;
+    dt: as `look` takes it; timed: whether there is a column of times.
     """
 
     data: object
@@ -256,7 +281,9 @@ class _Asked(NamedTuple):
 
     def read(self, names: Sequence[str]) -> Recording:
         """Return the Recording of these columns, as outputs, whatever steps its times have."""
-        dt = None if self.timed else self.dt or 1.0
+        dt = None
+        if not self.timed:
+            dt = self.dt or 1.0
         source = open_source(
             self.data, Signals((), tuple(names), dict(self.columns), dt, regular=not self.timed)
         )
@@ -277,7 +304,9 @@ class _Asked(NamedTuple):
             return self.read(names), troubles
         except ValueError as e:
             self._find(names, str(e), troubles)
-        left = [name for name in names if name not in troubles]
+        left = list(names)
+        for name in troubles:
+            left.remove(name)
         if not left:
             raise ValueError(next(iter(troubles.values())))
         return self.read(left), troubles
@@ -300,11 +329,6 @@ class _Asked(NamedTuple):
             self._find(half, why, troubles)
 
 
-def _stamps(kinds: Mapping[str, str]) -> Any:
-    """Return a function of a column: the kind of a time that it holds, or ""."""
-    return lambda name: "" if kinds[name] in (NUMBER, TEXT) else kinds[name]
-
-
 def _looked(name: str, recording: Recording) -> LookedColumn:
     """Return the look at a column of numbers."""
     x = np.ascontiguousarray(recording.y[:, recording.outputs.index(name)], np.float64)
@@ -319,10 +343,11 @@ def _looked(name: str, recording: Recording) -> LookedColumn:
     before = len(sentences) - len(marks)  # numbers that may stand for a missing sample are named first
     for mark, sentence in zip(["no number?"] * before + marks, sentences, strict=True):
         findings.append(Finding(mark, sentence))
-    bare = without_unit(name)[0]
-    for sentence in suspicions(bare, name, x):
-        findings.append(Finding("angle?" if "angle(" in sentence else "counter?", sentence))
-    edges = np.unique(np.linspace(0, len(x), BINS, endpoint=False).astype(int))
+    for kind, sentence in suspicions(without_unit(name)[0], name, x):
+        findings.append(Finding(f"{kind}?", sentence))
+    edges, changes = _edges(len(x)), 0.0
+    if len(there) > 1:
+        changes = float(np.mean(np.diff(there) != 0))
     curve = np.stack([np.fmin.reduceat(x, edges), np.fmax.reduceat(x, edges)])
     return LookedColumn(
         name,
@@ -332,7 +357,7 @@ def _looked(name: str, recording: Recording) -> LookedColumn:
         float(there.max()),
         recorded_step(x),
         len(x) - len(there),
-        float(np.mean(np.diff(there) != 0)) if len(there) > 1 else 0.0,
+        changes,
         tuple(findings),
         curve,
     )
@@ -342,9 +367,9 @@ def _clock_of(recording: Recording, timed: bool) -> tuple[float | None, tuple[st
     """Return (sampling period in s or None, sentences on rows and gaps, the interval that serves, "" where
     none is needed).
     """
-    hints = [hint for hint in recording.hints if not any(word in hint for word in WORDS)]
-    if not timed:
-        return None, tuple(hints), ""
+    hints = recording.hints
+    if not timed:  # then all was asked while it was read; of columns it is said beside them
+        return None, tuple(hint for hint in hints if hint.startswith("the ")), ""
     time = np.asarray(recording.time, float)
     try:
         period = usual_period(time)
@@ -357,19 +382,24 @@ def _clock_of(recording: Recording, timed: bool) -> tuple[float | None, tuple[st
     return period, (*hints, *seam_hints(clock, recording.label, "sample {}".format)), ""
 
 
-def _command(data: object, columns: Sequence[LookedColumn], asked: _Asked, every: str) -> str:
-    """Return the command that fits a model to a recording."""
-    signals = [column for column in columns if column.entry]
-    inputs = [column.entry for column in signals if column.changes <= SET and column.entry[-1] != ")"]
-    if len(inputs) == len(signals):
-        inputs = []
-    outputs = [column.entry for column in signals if column.entry not in inputs]
-    words = ["jaxbound", "fit", str(data) if isinstance(data, str | PathLike) else "FILE"]
-    for option, entries in (("--inputs", inputs), ("--outputs", outputs)):
-        if entries:
-            more = ["..."] if len(entries) > NAMED else []
-            words += [option, ",".join([*entries[:NAMED], *more])]
-    stated = dict(asked.columns)
+def _command(door: _Door, columns: Sequence[LookedColumn], every: str) -> str:
+    """Return the command that fits a model to a recording. every: interval of means that is needed, or ""."""
+    entries: dict[str, list[str]] = {"--inputs": [], "--outputs": []}
+    for column in columns:
+        is_set = column.changes <= SET and column.entry == column.name
+        entries["--inputs" if is_set else "--outputs"].append(column.entry)
+    if not any(entries["--outputs"]):
+        entries = {"--outputs": entries["--inputs"]}
+    words = ["jaxbound", "fit", "FILE"]
+    if isinstance(door.data, str | PathLike):
+        words[-1] = str(door.data)
+    for option, listed in entries.items():
+        some = list(filter(None, listed))
+        if len(some) > NAMED:
+            some[NAMED:] = ["..."]
+        if some:
+            words += [option, ",".join(some)]
+    stated = dict(door.columns)
     if every:
         stated.setdefault("every", every)
     fields = RecordingFormat.of(stated.pop(RECORDING, None)).stated
@@ -377,8 +407,10 @@ def _command(data: object, columns: Sequence[LookedColumn], asked: _Asked, every
         words += ["--recording", ",".join(f"{name}={_on_a_line(value)}" for name, value in fields.items())]
     for name, value in stated.items():
         words += [f"--{name}", value]
-    if not asked.timed:
-        words += ["--dt", f"{asked.dt:g}" if asked.dt else "SECONDS"]
+    if door.dt is not None:
+        words += ["--dt", f"{door.dt:g}"]
+    elif not door.timed:
+        words += ["--dt", "SECONDS"]
     return shlex.join([*words, "--out", "plant.toml"])
 
 

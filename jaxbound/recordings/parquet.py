@@ -210,7 +210,9 @@ class ParquetSource(PartSource):
                     table = pa.Table.from_batches(held)
                     before = len(table) - rows
                     chunk = self._chunk(start - before, table)
-                    yield start, chunk.cut(before, chunk.samples) if before else chunk
+                    if before:
+                        chunk = chunk.cut(before, chunk.samples)
+                    yield start, chunk
                     held, rows, start = [], 0, start + rows
                     if self.looks_back:
                         held = [part.slice(len(part) - 1)]

@@ -221,8 +221,10 @@ def _no_levels(model: SignalModel, r: Recording) -> Iterator[str]:
     """Yield a sentence on each signal that is taken as a level from a column that is none."""
     for names, samples in ((model.inputs, r.u), (model.outputs, r.y)):
         for name, x in zip(names, samples.T, strict=False):  # factors stand behind the inputs
-            if not is_expression(model.column(name)):
-                yield from suspicions(name, model.column(name), np.asarray(x, float))
+            if is_expression(model.column(name)):
+                continue
+            for _, sentence in suspicions(name, model.column(name), np.asarray(x, float)):
+                yield sentence
 
 
 def _name_of(signal: Signal) -> str:

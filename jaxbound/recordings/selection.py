@@ -192,8 +192,10 @@ def without_looks(excluded: np.ndarray, signals: Sequence[Column | Expression]) 
     (N,) bool, left out by `where`.
     """
     behind = excluded | np.append(False, excluded[:-1])
-    out = [behind if signal.looks_back else excluded for signal in signals]
-    return np.array(out, bool).reshape(len(signals), len(excluded)).T
+    either = np.stack([excluded, behind])
+    back = [int(signal.looks_back) for signal in signals]
+    gone: np.ndarray = either[back].T
+    return gone
 
 
 def without_looks_of(excluded: np.ndarray, model: Named, names: Sequence[str]) -> np.ndarray:
@@ -201,7 +203,10 @@ def without_looks_of(excluded: np.ndarray, model: Named, names: Sequence[str]) -
     stated = getattr(model, "column", str)
     signals: list[Column | Expression] = []
     for column in map(stated, names):
-        signals.append(expression(column) if is_expression(column) else Column(column))
+        signal: Column | Expression = Column(column)
+        if is_expression(column):
+            signal = expression(column)
+        signals.append(signal)
     return without_looks(excluded, signals)
 
 

@@ -14,37 +14,41 @@ ENDS = 20.0  # of a turn
 FALLS = 0.02  # share of steps that may fall in a counter
 GROWS = 0.2  # share of steps that grow in one
 NEAR = 0.95  # share of its range that a counter has reached where it runs over
-OVER = sorted([2.0**n for n in (8, 15, 16, 31, 32)] + [10.0**n for n in range(3, 10)])
+OVER = (256, 1000, 10_000, 32_768, 65_536, 100_000, 1_000_000, 10_000_000, 2**31, 2**32)
 """Numbers at which counters begin at 0 again."""
 
 
-def suspicions(name: str, column: str, x: np.ndarray) -> Iterator[str]:
-    """Yield a sentence on a signal that is no level, with the entry of --inputs or --outputs to type.
+def suspicions(name: str, column: str, x: np.ndarray) -> Iterator[tuple[str, str]]:
+    """Yield ("angle" or "counter", a sentence) on a signal that is no level, with the entry of --inputs or
+    --outputs to type in quotes.
 
     Args:
         name: of the signal. column: it is taken from. x: (N,) its numbers, NaN where there is none.
 
     Example:
         >>> list(suspicions("wind", "W", np.arange(340.0, 390.0) % 360))
-        ['wind jumps from 359 to 0, as an angle does, which is no level: "wind=angle(W)" takes its sine and
-        cosine']
+        [('angle', 'wind jumps from 359 to 0, as an angle does, which is no level: "wind=angle(W)" takes its
+        sine and cosine')]
     """
     x = x[np.isfinite(x)]
     if len(x) < FEW or x.min() == x.max():
         return
-    cell = column if column.isidentifier() else f"`{column}`"
+    cell = f"`{column}`"
+    if column.isidentifier():
+        cell = column
     steps = np.diff(x)
     if _is_angle(x, steps):
         at = int(np.argmax(abs(steps) > TURN / 2))
         event = f"{name} jumps from {x[at]:.6g} to {x[at + 1]:.6g}, as an angle does"
-        yield f'{event}, which is no level: "{name}=angle({cell})" takes its sine and cosine'
+        yield "angle", f'{event}, which is no level: "{name}=angle({cell})" takes its sine and cosine'
     elif _is_counter(x, steps):
         falls = int(np.count_nonzero(steps < 0))
         if not falls:
             event, over = f"{name} only grows, from {x.min():.6g} to {x.max():.6g}, as a counter does", ""
         else:
             event, over = f"{name} grows but for {falls} falls, as a counter does", _over(x, steps)
-        yield f'{event}, which is no level: "{name}=rate({cell}{over})" takes its growth in a second'
+        growth = f'"{name}=rate({cell}{over})" takes its growth in a second'
+        yield "counter", f"{event}, which is no level: {growth}"
 
 
 def _is_angle(x: np.ndarray, steps: np.ndarray) -> bool:
@@ -72,5 +76,5 @@ def _over(x: np.ndarray, steps: np.ndarray) -> str:
     at = np.flatnonzero(steps < 0)
     for over in OVER:
         if NEAR * over <= x[at].min() and x.max() < over and x[at + 1].max() <= (1 - NEAR) * over:
-            return f", {over:.0f}"
+            return f", {over}"
     return ""

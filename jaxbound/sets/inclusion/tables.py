@@ -6,7 +6,7 @@ known again, by what a call of it traces to, and becomes one primitive; its deri
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -54,9 +54,9 @@ def _traced(*shapes: jax.ShapeDtypeStruct) -> str:
 
 
 @functools.partial(jax.custom_jvp)
-def interpolated(x: jax.Array, xp: jax.Array, fp: jax.Array) -> Any:
+def interpolated(x: jax.Array, xp: jax.Array, fp: jax.Array) -> jax.Array:
     """Return jnp.interp(x, xp, fp) as one primitive."""
-    return interp_p.bind(x, xp, fp)
+    return cast(jax.Array, interp_p.bind(x, xp, fp))
 
 
 def _tangent(primals: Sequence[jax.Array], tangents: Sequence[Any]) -> tuple[Any, Any]:

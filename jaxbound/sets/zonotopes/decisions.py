@@ -166,7 +166,7 @@ def contains(
 
 
 @contains.register(Interval)
-def _(Z: Interval, inner: AnySet | Interval | ArrayLike) -> Any:
+def _(Z: Interval, inner: AnySet | Interval | ArrayLike) -> Decision | jax.Array:
     if isinstance(inner, Interval):
         return subset(inner, Z)
     if isinstance(inner, Zonotope | ConstrainedZonotope):
