@@ -228,12 +228,12 @@ def instant_of(time: object) -> float:
     return round(float((stamps[0] - EPOCH) / SECOND), 6)
 
 
-def stamp_kind(cell: str | None) -> str:
+def stamp_kind(cell: str | None, form: str = "") -> str:
     """Return the kind of a cell: "stamp" for a time stamp of any format, "day" or "clock" for half of one,
     "" for none.
 
     Eight digits may be a day beside a clock, but also a number: "digits". That it is no other number is
-    known.
+    known. form: of time stamps, where it is stated.
 
     Example:
         >>> cells = "2017-09-12 08:00", "20170912T080000", "12.09.2017", "20170912", "8:00 PM", "shift 2"
@@ -244,6 +244,8 @@ def stamp_kind(cell: str | None) -> str:
 
     if not cell or not any(c.isdigit() for c in cell) or len(cell) > LONGEST:
         return ""
+    if form and _has_format(cell.strip(), form):
+        return "stamp"
     if DIGITS.fullmatch(cell.strip()):
         if _has_format(cell.strip(), DATES[-1]):
             return "digits"
