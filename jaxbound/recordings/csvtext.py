@@ -193,7 +193,8 @@ def layout_of(head: Head, how: RecordingFormat = UNSTATED, header: int | None = 
     begin, skip = _first_of_data(data[:FURTHER], decimal, how), at + 1
     if begin:
         rows = listed([str(i + 1) for i in numbers[:begin]], str)
-        hints.append(f"below the names of the columns {begin} rows hold no samples ({rows}): left out")
+        hold = "row {} holds" if begin == 1 else "rows {} hold"
+        hints.append(f"{hold.format(rows)} no samples but stand below the names of the columns: left out")
         skip = numbers[begin]
     if all(len(cells) == len(names) + 1 and not cells[-1].strip() for cells in data[begin:]):
         hints.append("each row has a delimiter more than the names of the columns, and nothing behind it")
@@ -230,7 +231,7 @@ def _first_of_data(rows: Sequence[Sequence[str]], decimal: str, how: RecordingFo
         words = [cell for cell in valued if cell not in ("1", *MISSING_CELLS)]
         if not words or valued[0] == "1":
             return number
-    return 0
+    return max(len(rows) - 1, 0)
 
 
 def is_value(cell: str, decimal: str, how: RecordingFormat = UNSTATED) -> bool:

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     import pyarrow.csv as pc
 
 FEW = 8  # lines that are read one by one, sooner than pyarrow gets going
+SINGULAR = {"are": "is", "hold": "holds", "repeat": "repeats"}
 Opened = Callable[[], IO[bytes]]
 """Opens the bytes of the lines, from their beginning."""
 
@@ -99,7 +100,10 @@ class LineReader:
             ValueError: a row that cannot be read, or is not what pyarrow took for one: which, and why.
         """
         cells = self._read(opened)
-        noted = [name for name in cells.odd if name != self.plan.time]
+        noted = []
+        for name, odd in cells.odd.items():
+            if name != self.plan.time and odd.among(None, errors=False).words:
+                noted.append(name)
         if noted:
             texts = self.written(opened)
             assert texts is not None, "it was read before"
@@ -134,7 +138,9 @@ class LineReader:
         notation = notation_of(pc.drop_null(known), self.layout.decimals, self.layout.how)
         if notation is None:
             return
-        del cells.odd[name]
+        errors = cells.odd.pop(name).among(None, errors=True)
+        if errors.words:
+            cells.odd[name] = errors
         cells.columns[name] = notation.numbers(known)[0]
         self.notations[name] = notation
         self.layout.hints.append(
@@ -166,7 +172,7 @@ class LineReader:
         layout, how = self.layout, self.layout.how
         text = layout.text(line)
         if how.comment and text.startswith(how.comment):
-            return "are comments"
+            return "are a comment"
         if ZEROS in line and self.plan.time is not None:
             return "hold zero bytes, as a power cut leaves them"
         if self.plan.time is None or len(layout.names) == 1 or layout.is_blank(line):
@@ -249,8 +255,7 @@ class LineReader:
         hints = []
         for reason, numbers in self.left.items():
             if len(numbers) == 1:
-                reason = reason.replace("hold", "holds").replace("are ", "is ").replace("repeat", "repeats")
-                hints.append(f"row {numbers[0]} {reason}: left out")
+                hints.append(f"row {numbers[0]} {of_one(reason)}: left out")
             else:
                 hints.append(f"{len(numbers)} rows {reason}, the first is row {numbers[0]}: left out")
         return hints
@@ -499,6 +504,12 @@ class LineReader:
         """Yield the lines below the header, each behind its number."""
         with opened() as file:
             yield from islice(enumerate(lines_of(file), 1), self.layout.skip, None)
+
+
+def of_one(reason: str) -> str:
+    """Return the reason for which lines are no rows, said of a single one."""
+    verb, _, rest = reason.partition(" ")
+    return f"{SINGULAR[verb]} {rest}"
 
 
 def reader_of(head: Head, model: SignalModel, how: RecordingFormat) -> LineReader:

@@ -19,7 +19,7 @@ from jaxbound.recordings.columns import Arrow, to_arrow
 from jaxbound.recordings.counting import Counting, Numbers, numbers_of
 from jaxbound.recordings.csvlines import BOM, split_lines
 from jaxbound.recordings.csvtext import BLANK, FURTHER, MISSING_CELLS, UNENDED, head_of, is_number, is_value
-from jaxbound.recordings.linetext import Cells, LineReader, reader_of, refuse_infinite
+from jaxbound.recordings.linetext import Cells, LineReader, of_one, reader_of, refuse_infinite
 from jaxbound.recordings.oddcells import thousands
 from jaxbound.recordings.recording import Recording, Times
 from jaxbound.recordings.recordingformat import RecordingFormat, format_of
@@ -74,7 +74,6 @@ class PipeText(Stream):
         self.unit_known = False
         self.lone = np.zeros(0)  # the first number, as long as it is the only one
         self.broken = self.repeated = self.hinted = False
-        self.aside_lines = 0  # that are no rows
         self.counted: int | None = None  # samples that are sent again, where no time tells them
         self.blank: list[Line] = []  # blank lines that are wrong, without a time, where a row follows
         self.returns = 0  # carriage returns at the end, which may be the first half of a line end
@@ -428,8 +427,8 @@ class PipeText(Stream):
             if number in self._format.skip:
                 reason = "are left out as stated"
             if reason:
-                self.aside_lines += 1
-                self.complain("line", f"line {number} is left out, as lines that {reason}")
+                self.no_rows += 1
+                self.complain("line", f"line {number} {of_one(reason)}: left out")
                 return
             digest = digests_of([np.zeros(1)], [[line.decode("latin-1").strip()]])
             if self.replaying and self.taken.knows(digest).all():
