@@ -353,6 +353,8 @@ class _Judging:
         if lost:
             lines = f"{lost} line{'s' * (lost != 1)}"
             hints.append(f"{lines} could not be read: left out, and no window spans them")
+        if self.stream.no_rows:
+            hints.append(f"{self.stream.no_rows} lines hold no sample: left out")
         hints += unfit_by(relations, found.counts, found.margin, found.outside)
         return [*hints, *endings_said(found.ended or {}, found.alarms)]
 

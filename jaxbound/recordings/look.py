@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from jaxbound.recordings.recordingformat import NAMED_SIGNS, RECORDING, Recordin
 from jaxbound.recordings.seams import Clock, seam_hints, tick, usual_period, varied_interval, varied_steps
 from jaxbound.recordings.selection import time_column
 from jaxbound.recordings.signals import Signals
-from jaxbound.recordings.source import NUMBER, TEXT
+from jaxbound.recordings.source import NUMBER, TEXT, WORDS
 from jaxbound.recordings.stillness import Runs, follow_runs, signal_hints, stretches
 from jaxbound.recordings.suspects import suspicions
 from jaxbound.text.objects import readable
@@ -29,6 +30,7 @@ MOST = 1_000_000  # samples that are looked at of a recording that is read in pi
 BINS = 600  # of a picture
 SET = 0.2  # share of steps up to which a column that is set by somebody changes
 SHOWN, NAMED = 40, 12  # columns of the table, names of the command, that are shown at most
+USUAL = {"header": 1, "delimiter": ",", "decimal": ".", "encoding": "utf-8"}
 WIDE = 26  # letters of a name in the table
 
 
@@ -228,9 +230,9 @@ def look(
     """
     report = reporter(progress, "read")
     stated = with_format({}, recording)
-    outline = kind_of(data).outline(data)
+    outline = kind_of(data).outline(data, RecordingFormat.of(stated.get(RECORDING)))
     kinds = dict(outline.kinds)
-    times = {name: kind.replace(NUMBER, "").replace(TEXT, "") for name, kind in kinds.items()}
+    times = {name: {NUMBER: "", TEXT: "", WORDS: ""}.get(kind, kind) for name, kind in kinds.items()}
     day, clock = time_column(list(kinds), list(kinds), stated.get("time"), times.__getitem__, dt)
     for name in (day, clock):
         kinds.pop(str(name), None)
@@ -241,10 +243,10 @@ def look(
     for name, kind in kinds.items():
         if name in run.outputs:
             columns.append(_looked(name, run))
-        elif name in troubles:
+        elif name in troubles and kind != WORDS:
             columns.append(LookedColumn(name, "unread", findings=(Finding("not read", troubles[name]),)))
         else:
-            columns.append(LookedColumn(name, kind))
+            columns.append(LookedColumn(name, TEXT))
     period, hints, every = _clock_of(run, clock is not None)
     axis = run.axis
     assert axis is not None, "a recording that is read has times"
@@ -258,10 +260,23 @@ def look(
         dt=period,
         columns=tuple(columns),
         hints=hints,
-        table="",
+        table=_table(dict(outline.taken) | RecordingFormat.of(stated.get(RECORDING)).stated, clock),
         command=_command(door, columns, every),
         axis=axis[_edges(run.samples)],
     )
+
+
+def _table(taken: Mapping[str, Any], clock: str | None) -> str:
+    """Return the table `[recording]` of a model file that states what was taken, as far as it is not usual.
+    clock: the column of the time, None: there is none.
+    """
+    fields = {name: value for name, value in taken.items() if value != USUAL.get(name)}
+    if clock is not None:
+        fields["time"] = clock
+    lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in fields.items()]
+    if not lines:
+        return ""
+    return "\n".join([RECORDING, *lines])
 
 
 def _edges(samples: int) -> np.ndarray:

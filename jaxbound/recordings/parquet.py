@@ -32,6 +32,7 @@ from jaxbound.recordings.parquetfiles import (
     spans_of,
 )
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import RecordingFormat
 from jaxbound.recordings.seams import period_of, rows_apart
 from jaxbound.recordings.selection import NO_TIME, STAMPS, Wanted, looks_back
 from jaxbound.recordings.signals import SignalModel
@@ -105,7 +106,7 @@ class ParquetSource(PartSource):
         return open_parquet(str(data), model)
 
     @classmethod
-    def outline(cls, data: object) -> Outline:
+    def outline(cls, data: object, how: RecordingFormat) -> Outline:
         """Return how the files are written, by the types of the first."""
         files = files_of(Path(str(data)))
         with opened(files[0], str(files[0])) as f:

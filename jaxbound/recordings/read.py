@@ -19,7 +19,7 @@ from jaxbound.recordings.means import every_of, with_every
 from jaxbound.recordings.meansource import means_source
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.recordingformat import Formatted, Stated
+from jaxbound.recordings.recordingformat import Formatted, RecordingFormat, Stated
 from jaxbound.recordings.seams import FEW, TOLERATED_DT, UNITS, varied_steps
 from jaxbound.recordings.signals import Named, SignalModel, Signals, signals_of
 from jaxbound.recordings.source import KINDS, Outline, Source
@@ -120,7 +120,7 @@ class Arrays(Source):
         return not isinstance(data, str | PathLike)
 
     @classmethod
-    def outline(cls, data: object) -> Outline:
+    def outline(cls, data: object, how: RecordingFormat) -> Outline:
         """Return the columns of a table."""
         frame = as_table(data, "data")
         if not is_table(frame):

@@ -100,6 +100,7 @@ class RecordingFormat:
         return f"RecordingFormat({', '.join(f'{name}={value!r}' for name, value in self.stated.items())})"
 
 
+UNSTATED = RecordingFormat()
 Stated: TypeAlias = RecordingFormat | Mapping[str, Any] | str | None
 """A format, or what `RecordingFormat.of` reads it from."""
 

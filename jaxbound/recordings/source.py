@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from jaxbound.recordings.contents import Digests, content
 from jaxbound.recordings.hints import missing_hints, rounding_hints
 from jaxbound.recordings.means import Unfinished
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import RecordingFormat
 from jaxbound.recordings.seams import Clock, around, irregular, seam_hints, tick, varied_hints
 from jaxbound.recordings.selection import Wanted, where_hints
 from jaxbound.recordings.signals import Named, SignalModel
@@ -37,8 +38,8 @@ __all__ = [
 ]
 
 PROBE = 100_000  # samples that show the sampling period, the unit of time and the rounding of the recorder
-NUMBER, TEXT = "number", "text"
-"""Kinds of columns that are no times, see `Outline`."""
+NUMBER, TEXT, WORDS = "number", "text", "words"
+"""Kinds of columns that are no times: of words nobody knows whether they stand for numbers, like ON."""
 KINDS: list[type["Source"]] = []  # of users; the last that takes the data opens them
 
 
@@ -77,11 +78,13 @@ def register(kind: type["Source"]) -> type["Source"]:
 class Outline(NamedTuple):
     """How data are written, before they are read.
 
-    Fields: how: in words. kinds: {column: `NUMBER`, `TEXT`, or the kind of a time, see `stamp_kind`}.
+    Fields: how: in words. kinds: {column: `NUMBER`, `TEXT`, `WORDS`, or the kind of a time, see
+    `stamp_kind`}. taken: fields of a RecordingFormat that say so.
     """
 
     how: str
     kinds: Mapping[str, str]
+    taken: Mapping[str, Any] = {}
 
 
 class Source:
@@ -117,8 +120,8 @@ class Source:
         return cls(data, model)
 
     @classmethod
-    def outline(cls, data: object) -> Outline:
-        """Return how these data are written.
+    def outline(cls, data: object, how: RecordingFormat) -> Outline:
+        """Return how these data are written. how: what is stated of that.
 
         Raises:
             ValueError: a kind whose columns are not known before it is read.

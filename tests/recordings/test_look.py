@@ -22,7 +22,7 @@ def frame(rng):
     table.loc[40:69, "T2"] = table["T2"][40]
     table.loc[7, "T2"] = -9999
     table.loc[[3, 4], "T"] = np.nan
-    table["state"] = "on"
+    table["state"] = "running"
     return table
 
 
@@ -38,7 +38,7 @@ def marks(found):
 
 def test_each_column_is_told(path):
     found = jb.look(path)
-    assert found.how == "UTF-8, cells between ',', header in row 1"
+    assert found.how == "UTF-8, cells between ',', names in row 1"
     assert (found.time, found.samples, found.dt) == ("Time", T, 3.0)
     assert (found.first, found.last) == ("2026-03-01 08:00:00", "2026-03-01 08:05:57")
     columns = {column.name: column for column in found.columns}
@@ -149,3 +149,27 @@ def test_fit_names_columns_that_are_no_levels(path):
     assert [hint for hint in run.hints if "wind=angle(wind)" in hint]
     (run,) = jb.recordings.read.read_signals(path, [("n", "= rate(pulses, 65536)")], ["T"])
     assert not [hint for hint in run.hints if "which is no level" in hint]
+
+
+def test_the_table_to_keep_says_how_the_file_was_read(tmp_path):
+    lines = [
+        "TOA5;station",
+        "Zeit;Pumpe;T",
+        "TS;;degC",
+        *(f"{k},5;{('ON', 'OFF')[k % 12 > 3]};{k % 7},25" for k in range(60)),
+    ]
+    (tmp_path / "run.csv").write_bytes("\r\n".join([*lines, ""]).encode("cp1252"))
+    found = jb.look(tmp_path / "run.csv")
+    assert found.how.endswith("cells between ';', decimal comma, names in row 2")
+    assert found.table.splitlines()[0] == "[recording]" and 'delimiter = ";"' in found.table
+    assert {column.name: (column.low, column.high) for column in found.columns} == {
+        "Pumpe": (0, 1),
+        "T": (0.25, 6.25),
+    }
+    assert found.dt == 1 and "--inputs Pumpe --outputs T" in found.command
+    with open(tmp_path / "model.toml", "w") as f:
+        model = jb.LinearSystem([[0.5]], [[1]], [[1]], dt=1, noise=0.1, inputs=["Pumpe"], outputs=["T"])
+        jb.save_model(model, f.name)
+    (tmp_path / "model.toml").write_text((tmp_path / "model.toml").read_text() + found.table + "\n")
+    again = jb.read(tmp_path / "run.csv", jb.load_model(tmp_path / "model.toml"))
+    assert again.samples == 60 and again.u[:5, 0].tolist() == [1, 1, 1, 1, 0]
