@@ -88,11 +88,15 @@ def _parts(usage: str) -> tuple[str, str, str]:
     return flag, flag.strip("-").replace("-", "_"), metavar
 
 
-def every(default: str = "that of the model") -> dict[str, str]:
-    """Return --every. default: of it."""
+def reading(default: str = "that of the model") -> dict[str, str]:
+    """Return --recording. default: of its field every."""
     return {
-        "--every 15min": "samples are the means of what was recorded within each such interval of the clock, "
-        f"in ms, s, min, h or d (default: {default})"
+        "--recording FIELDS": "how files are read: every=15min (samples are the means of what was recorded "
+        "within each such interval of the clock, in ms, s, min, h or d; default: "
+        f"{default}); and how they are written, beside [recording] of the model file, like "
+        "header=3,decimal=comma: header (row), skip (rows), comment, delimiter, decimal, thousands, "
+        "encoding; time (column), time_format, time_unit, zone; missing, on, off (words); hold, equal "
+        "(default: found by looking)"
     }
 
 
@@ -203,17 +207,6 @@ def share(text: str) -> float:
     return number
 
 
-def clock_interval(text: str) -> str:
-    """Return an interval of the clock as it is written."""
-    from jaxbound.recordings.clockintervals import seconds_of
-
-    try:
-        seconds_of(text)
-    except ValueError as e:
-        raise ArgumentTypeError(str(e).removeprefix("every ")) from None
-    return text
-
-
-READERS: dict[str, Callable[[str], object]] = {"every": clock_interval, "min_coverage": share}
+READERS: dict[str, Callable[[str], object]] = {"min_coverage": share}
 """Of the options that several commands share."""
 DEFAULTS: dict[str, object] = {"min_coverage": 0.5}

@@ -18,7 +18,9 @@ from typing import overload
 
 from jaxbound.models.arguments import table_argument, taking_fields
 from jaxbound.models.conversion import ModelLike
+from jaxbound.recordings.expressions import with_angles
 from jaxbound.recordings.means import with_every
+from jaxbound.recordings.recordingformat import Stated, with_format
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification.adding import MOST, Widened, widen
@@ -59,6 +61,7 @@ def fit(
     name: str = ...,
     units: Mapping[str, str] | None = ...,
     columns: Mapping[str, str] | None = ...,
+    recording: Stated = ...,
     progress: Callable[[float], object] | None = ...,
     add: None = ...,
     most: None = ...,
@@ -88,6 +91,7 @@ def fit(
     name: str = "fitted",
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
+    recording: Stated = None,
     progress: Callable[[float], object] | None = None,
     add: ModelLike | str | PathLike[str] | None = None,
     most: float | None = None,
@@ -111,8 +115,9 @@ def fit(
         inputs, outputs: names; needed with tables and paths. dt: sampling period in s; None: what the times
             of tables, paths or a Recording say, else 1. every: an interval of the clock, like "15min":
             samples are the means of what was recorded within each, and the model keeps it.
-        name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called
-            with the share of the work done.
+        name, units, columns: as of a LinearSystem; tables are read by these columns too. Of a column
+            "= angle(wind)" the signal becomes two, its sine and its cosine. recording: how files are written,
+            see `RecordingFormat`. progress: called with the share of the work done.
         add: a model, or the path of its file, that is widened by the recordings instead: each of its tests
             just enough to hold them, proved; most: more than so many times, by default 3, is refused, for a
             fault would be learnt.
@@ -152,8 +157,14 @@ def fit(
     plan = recipe_of(recipe, fields)
     columns = table_argument("columns", columns, "{'Q': 'Heater 1'}")
     units = table_argument("units", units, "{'T': 'degC'}")
-    columns, dt = with_every(columns, dt, every)
-    begin_with = names_of("inputs", inputs)
+    columns, dt = with_every(with_format(columns, recording), dt, every)
+    inputs = begin_with = names_of("inputs", inputs)
+    if begin_with is not None:
+        begin_with, columns = with_angles(begin_with, columns)
+        inputs = begin_with
+    outputs = names_of("outputs", outputs)
+    if outputs is not None:
+        outputs, columns = with_angles(outputs, columns)
     pool: dict[str, str] = {}
     if plan.signals is not None:
         if not begin_with:
