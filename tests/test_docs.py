@@ -359,7 +359,7 @@ def test_every_command_has_its_help_on_the_page_and_every_key_of_a_model_file_it
         AVERAGE,
         field_names("uncertainty"),
         FIELDS,
-        *map(field_names, ("fault", "alarms", "matrices", "provenance")),
+        *map(field_names, ("fault", "alarms", "recording", "matrices", "provenance")),
     ]
     sections = re.split("^## .+$", (ROOT / "docs" / "modelfile.md").read_text(), flags=re.M)[1:]
     for keys, section in zip(known, sections, strict=True):

@@ -71,8 +71,8 @@ class LiveRun:
     """Samples that are to be judged as they come.
 
     Fields:
-        model: path of the model file. ask: the test. every: see `options.every`. data: "-", or the
-            name of a live source.
+        model: path of the model file. ask: the test. recording: see `options.reading`. data: "-", or
+            the name of a live source.
         out: folder of the verdicts; state: file to go on from; None: none.
         min_coverage: least share of decided windows. json: whether verdicts are JSON, else CSV.
         alarm: the rule by which alarms are told; None: that of the model, or none are.
@@ -80,7 +80,7 @@ class LiveRun:
 
     model: Path | str
     ask: Ask = Ask()
-    every: str | None = None
+    recording: Mapping[str, str] | None = None
     data: str = STDIN
     out: Path | None = None
     state: Path | None = None
@@ -120,7 +120,7 @@ def judge_stream(asked: LiveRun, chunks: Iterable[Any] | None = None) -> int:
         end = None
         if chunks is None:
             end = opened.enter_context(ends())
-        stated = stated_model(asked.model, asked.every, ask)
+        stated = stated_model(asked.model, asked.recording, ask)
         rule = None
         if asked.alarm or stated.alarms:
             rule = stated_rule(asked.alarm, stated, asked.model)
@@ -353,6 +353,8 @@ class _Judging:
         if lost:
             lines = f"{lost} line{'s' * (lost != 1)}"
             hints.append(f"{lines} could not be read: left out, and no window spans them")
+        if self.stream.no_rows:
+            hints.append(f"{self.stream.no_rows} lines hold no sample: left out")
         hints += unfit_by(relations, found.counts, found.margin, found.outside)
         return [*hints, *endings_said(found.ended or {}, found.alarms)]
 

@@ -477,6 +477,7 @@ class WindowTest:
         self.relations, self.method, self.dtype = relations, method, np.dtype(dtype)
         self.horizon = relations.horizon
         self.placed: dict[tuple[jax.Device, ...], object] = {}  # `constants` on devices, as `drive` puts them
+        self.outside: dict[str, object] = {}  # by `margins_are`, the test of windows outside of training
 
     @cached_property
     def kind(self) -> Hashable:
@@ -526,6 +527,12 @@ class WindowTest:
     def measured(self) -> Self:
         """Return the same test with exact margins."""
         return self
+
+    def under(self, relations: Relations) -> WindowTest:
+        """Return the same test of the same relations under other bounds."""
+        test = relations.test(self.method, self.dtype)
+        assert not test.remembers, "they are relations of windows"
+        return test
 
     @property
     def outputs(self) -> Outputs:

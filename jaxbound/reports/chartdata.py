@@ -31,6 +31,7 @@ SIGNALS, STATES = 12, 6  # charts of signals, and of states that an observer enc
 RELATIONS = 6  # charts of relations that no certificate combines
 NEAR = 60  # stretches around alarms
 SPAN, ASIDE = 160, 10  # samples of a stretch, and how close to its ends an alarm may be
+BEFORE = 20  # samples of a stretch before the alarm that it is made for
 BANDS = 50_000  # samples up to which windows say of every reading what they expect
 PATIENCE = 1.0  # seconds to read such stretches of a recording that is not in memory
 COMBINED = "combination of relations, in what its bounds allow"
@@ -73,6 +74,9 @@ def charts(res: Result | Digest, recording: Recording | Digest, shown: Shown) ->
     verdicts = [ChartRow("margin", "margin", kind="margin")]
     for name in near[0].res.columns:  # of a Digest too, whose stretches are judged anew
         verdicts.append(ChartRow(f"{COLUMN}{name}", name))
+    begin = float(close.x[0])
+    if shown.chosen:
+        begin = max(begin, float(x(max(shown.alarms[shown.chosen[0]].start - BEFORE, 0))))
     for i in sorted(shown.chosen):
         alarm = shown.alarms[i]
         times.append([i, *(float(x(k)) for k in (alarm.start, alarm.end, alarm.worst))])
@@ -84,7 +88,7 @@ def charts(res: Result | Digest, recording: Recording | Digest, shown: Shown) ->
         step=median_step(close.x),
         whole=whole,
         near=[stretch.plain() for stretch in near],
-        begin=float(close.x[0]),
+        begin=begin,
         end=float(close.x[-1]),
         about=about,
         alarms=times,
@@ -205,7 +209,10 @@ def _stretches(
             late = isinstance(res, Digest) and clock_time.perf_counter() - begun > PATIENCE
             if len(stretches) == NEAR or (stretches and late):
                 continue
-            home = _stretch(res, x, worst, signals)
+            middle = shown.alarms[i].start - BEFORE + SPAN // 2
+            if abs(worst - middle) >= SPAN // 2 - ASIDE:  # too long after the begin
+                middle = worst
+            home = _stretch(res, x, middle, signals)
             stretches.append(home)
         home.combine(i, shown.why.get(i))
     return stretches
