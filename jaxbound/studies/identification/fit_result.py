@@ -55,8 +55,8 @@ class FitCheck:
     Fields:
         method: how the coefficients were found, order, delay: of the model, see `fit`.
         factor, safety: the factors on the smallest bounds, of all tests: as the recordings ask for, each left
-            out in turn, see `factor_of`, and on top. smallest: those bounds, {output: bound}. smallest_mean: those of the mean of `average`
-            errors in a row, {} where it was not asked for.
+            out in turn, see `factor_of`, and on top. smallest: those bounds, {output: bound}. smallest_mean:
+            those of the mean of `average` errors in a row, {} where it was not asked for.
         left_out: a `PartLeftOut` for each recording, or each block of a single one.
         held_out: all of these together: {"windows", "fault", "growth"}: how many windows, the share that
             would be FAULT with `safety` alone, and the factor by which these bounds would have had to be
