@@ -24,6 +24,8 @@ CHECKED = (
     "hidden"
 ).split()
 """Fields of a `FitCheck` that JSON has as they are."""
+WIDEST = "recording sample when share where span rest cost missing stepping".split()
+"""Fields of a `Widest` that JSON has as they are."""
 Signal = str | tuple[str, str]  # a column of that name, or (name, column)
 MEMORY = 1.5  # times the window that a plant must remember before longer windows are spoken of
 SHOWN = 4
@@ -129,6 +131,7 @@ class FitConclusion(Conclusion):
             "resolution": _bounds_by_output(model, model.resolution),
             **{name: getattr(check, name) for name in CHECKED},
             "follow": check.follows,
+            "widest": check.widest and {name: getattr(check.widest, name) for name in WIDEST},
             "average": _average(check),
             "inputs": model.inputs,
             "tests": [_plain_test(test, model) for test in check.tests],
@@ -150,6 +153,8 @@ class FitConclusion(Conclusion):
         what = "sample" if model.horizon is None else "window"
         for file, numbers in zip(self.files, check.recordings, strict=True):
             yield str(file), _recording_text(numbers, what)
+        if check.widest is not None:
+            yield from check.widest.rows(self.files)
         yield from _tried_signals(model)
         yield from _tried_tests(model)
         yield from _left_out(check, self.files)

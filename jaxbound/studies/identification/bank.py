@@ -114,7 +114,7 @@ def fitted_bank(
         name = test.window.text
         if observer is not None and test.window.observer is not None:
             taken.append(test.times(model.check.factor / test.factor))
-            stated.append(test_as_fitted(base, _beside(base, model), name, _options(observer)))
+            stated.append(test_as_fitted(base, _beside(base, model), name, observer_fields(observer)))
             more = [f"test {name!r}: {x}" for x in model.check.sentences if x not in check.sentences]
             check = dataclasses.replace(_saying(check, *more), tradeoff=model.check.tradeoff)
         else:
@@ -169,7 +169,7 @@ def _judged(fitted: Fitted, method: ObserverMethod) -> JudgedTest:
     )
 
 
-def _options(method: ObserverMethod) -> dict[str, Any]:
+def observer_fields(method: ObserverMethod) -> dict[str, Any]:
     """Return the fields of a test by an observer: latched, and what is not as usual of its method."""
     options: dict[str, Any] = {"observer": method.name, "latched": True}
     usual = type(method)()
@@ -238,6 +238,9 @@ def test_as_fitted(
         base: the model of the file. fitted: for the windows of the test, of the same signals. about: fields
             of the test beside its name and its model.
     """
+    if base.extrapolation and not fitted.extrapolation:  # a field that a test cannot take away
+        origins = {**fitted.provenance, "extrapolation": "assumed: no window outside was left out"}
+        fitted = fitted.replace(extrapolation=1, provenance=origins)
     mine, theirs = (model_document(x.replace(tests=None)) for x in (base, fitted))
     (test,) = stated_tests([{"name": name, **(about or {}), "model": changes_between(mine, theirs)}])
     own = model_of(base, test)

@@ -11,6 +11,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.following import Follows
 from jaxbound.studies.identification.recipe import Recipe, recipe_text
 from jaxbound.studies.identification.signal_choice import TriedSignals
+from jaxbound.studies.identification.widest import Widest
 from jaxbound.studies.identification.window_tests import JudgedTest
 from jaxbound.text.objects import readable
 
@@ -79,6 +80,8 @@ class FitCheck:
             the best is left out.
         moved: {output: between its lowest and its highest sample in all recordings}.
         recipe: the `Recipe` that makes the same fit of the same recordings again.
+        widest: the window that asks for the widest bounds, and what leaving out samples like it would give:
+            a `Widest`; of several tests that of the first. None: no window needs any.
         sentences: what the user should know, above all why the data may not carry a monitor.
     """
 
@@ -104,6 +107,7 @@ class FitCheck:
     moved: dict[str, float] = field(default_factory=dict)
     hidden: dict[str, float] = field(default_factory=dict)
     recipe: Recipe = Recipe()
+    widest: Widest | None = None
 
     def of(self, test: JudgedTest) -> JudgedTest:
         """Return a test with the numbers of this fit, which is for it and has looked at windows that lack
