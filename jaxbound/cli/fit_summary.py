@@ -317,7 +317,7 @@ def promise(factor: float, count: int) -> str:
     if not count:
         return text
     return (
-        f"{text}; of recordings like them one in {count + 1} may still ask for more, of more recordings fewer"
+        f"{text}; of recordings like them one in {count + 1} may still ask for more, by more recordings fewer"
     )
 
 

@@ -1,5 +1,6 @@
 """The terminal: refusals in one sentence, a bar for each stage, conclusions in colour."""
 
+import ctypes
 import io
 import os
 import signal
@@ -30,6 +31,7 @@ __all__ = [
     "VERBOSE",
     "json_text",
     "door",
+    "hushed",
     "nobody_reads",
     "progress_bars",
     "say",
@@ -98,6 +100,28 @@ def stoppable() -> Iterator[list[int]]:
     finally:
         for n in names:
             signal.signal(n, signal.SIG_DFL)
+
+
+@contextmanager
+def hushed() -> Iterator[None]:
+    """Keep off the output what compiled libraries print there by themselves, as HiGHS does at times."""
+    with suppress(OSError, AttributeError, ValueError):  # no output, or one that is none of the system
+        sys.stdout.flush()
+    try:
+        output = os.dup(1)
+    except OSError:
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        with suppress(OSError, TypeError, AttributeError):  # what C still holds back would be printed later
+            ctypes.CDLL(None).fflush(None)
+        os.dup2(output, 1)
+        os.close(output)
+        os.close(nowhere)
 
 
 @contextmanager
