@@ -125,7 +125,7 @@ class BankTest(LinearTest):
         status = status_of_words(words, r.count)
         nothing = (judged.status == Status.FAULT) & (status != Status.FAULT)
         margin = np.where(nothing, 0, judged.margin).astype(judged.margin.dtype)
-        return Judged(status, margin, words), doubtful
+        return judged._replace(status=status, margin=margin, words=words), doubtful
 
     def unproved(self, judged: Judged) -> Judged:
         """Return the verdicts with UNDECIDED in place of CONSISTENT for every relation; see

@@ -547,20 +547,22 @@ class _Gathering:
 
     def _proved(self, part: np.ndarray, block: Block, judged: Arrays) -> Arrays:
         """Return the arrays of a block, with each FAULT left open that its hints do not prove."""
-        if len(judged) <= len(self.filling.outs) + 1:
+        count = len(self.filling.outs)
+        if len(judged) <= count + 1:
             return judged
-        margin, open_, *hints = judged
+        margin, *numbers = judged[:count]
+        open_, *hints = judged[count:]
         margin, open_ = np.asarray(margin)[: len(part)], np.asarray(open_)[: len(part)]
         faulty = np.flatnonzero(margin < 0)
         if not len(faulty) or is_outside_xla():  # where NumPy judged, nothing has to be seen again
-            return margin, open_
+            return margin, *numbers, open_
         proved = self.test.refuted(*(np.asarray(x)[..., faulty] for x in (*block, *hints)))
         wrong = faulty[~proved]
         if len(wrong):
             margin, open_ = margin.copy(), open_.copy()
             margin[wrong], open_[wrong] = 0, True
             self.filling.doubtful.append(part[wrong] + self.test.horizon)
-        return margin, open_
+        return margin, *numbers, open_
 
     def _write(self, chosen: np.ndarray, arrays: Arrays) -> np.ndarray:
         """Write the values of the windows that start at `chosen`; return the starts left open."""

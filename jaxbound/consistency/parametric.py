@@ -149,7 +149,7 @@ class ParametricTest(WindowTest):
 
     def settle(self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, progress: Progress) -> None:
         """Bisect the parameters of windows that were left open."""
-        status, margin = outs
+        status, margin, *_ = outs
         for first in range(0, len(left), SEARCHED):
             at = left[first : first + SEARCHED] + self.horizon
             windows = finite(gather(u, y, at - self.horizon, self.lags, self.horizon))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
+import jax
 import numpy as np
 
 from jaxbound.exact.linalg import Number
@@ -75,6 +76,7 @@ class Departure(NamedTuple):
         return texts
 
 
+@jax.tree_util.register_static
 @dataclass(frozen=True, eq=False)
 class Region:
     """The region of training of a model's windows.

@@ -112,7 +112,8 @@ class LinearSystem:
             columns, like "= `Supply Temp` - `Mixed Temp`"; "time": the column of its time stamps; "where": a
             condition, like "fan > 0": samples for which it does not hold are no part of the recording, and
             windows with them are MISSING; "every": an interval of dt, like "15min": samples are the means of
-            what was recorded within each.
+            what was recorded within each; "[recording]": how files are written, the text of
+            a `RecordingFormat`.
         ranges: {input: (lowest, highest)}: between which it moved in the recordings that the model was fitted
             to; verdicts say which windows lie outside, see `Result.outside`, and `study` moves it there.
         provenance: {"noise": "datasheet" | "fitted" | "assumed", ...}: where a bound comes from, for reports.

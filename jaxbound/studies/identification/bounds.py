@@ -48,7 +48,7 @@ def verified(
     """
     records, factor = training.records, trial.factor
     spec = trial.candidate.spec | {"ranges": training.ranges}
-    if any(np.isfinite(one.factor) for one in trial.left):
+    if np.isfinite(trial.asked).any():
         spec["left_out"] = stated(factor)
     beyond = extrapolation(trial, training)
     if beyond is not None:
