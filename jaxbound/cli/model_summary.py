@@ -214,6 +214,9 @@ def _bounds_rows(model: LinearSystem) -> Iterator[Row]:
         yield "disturbance", f"{', '.join(ranges)}   {_origin_in_brackets(model, 'disturbance')}"
     for a in model.averages:
         yield "average", f"{a.text} within {float(a.bound):.6g}"
+    if model.extrapolation:
+        wider = f"bounds times {float(model.extrapolation):.6g}"
+        yield "outside training", f"{wider}   {_origin_in_brackets(model, 'extrapolation')}"
     if model.d:
         yield "unknown inputs", f"{model.d}, of which nothing is known"
     for parameter in model.uncertainties:
