@@ -197,6 +197,13 @@ def some_of(k: str, example: str) -> Callable[[str], tuple[int, int]]:
     return read
 
 
+def rule(text: str) -> str:
+    """Return k/n, or the word for the plain rule, as it is written."""
+    if text != "plain":
+        some_of("k", "3/5")(text)
+    return text
+
+
 def share(text: str) -> float:
     """Return a number between 0 and 1."""
     try:

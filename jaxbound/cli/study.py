@@ -207,10 +207,12 @@ USUAL = {"samples": "200", "at": "uniform", "hold": "20"}
 
 def _scenario(said: Mapping[str, str]) -> dict[str, Any]:
     """Return the keywords of `study` that --scenario says."""
+    from jaxbound.models.filevalues import known_fields  # imports what a help does not wait for
+
     scenario: dict[str, Any] = {}
+    with door():
+        known_fields("--scenario", dict(said), tuple(SCENARIO))
     for name, text in {**USUAL, **said}.items():
-        if name not in SCENARIO:
-            raise Refused(f"--scenario has no field {name!r}: its fields are {', '.join(SCENARIO)}")
         try:
             scenario[name] = SCENARIO[name](text)
         except ArgumentTypeError as e:
