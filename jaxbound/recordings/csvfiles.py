@@ -67,7 +67,8 @@ def _recording_of(path: Path, model: SignalModel, report: Progress) -> Recording
     samples = plan.samples(columns, cells.rows, (time - time[0], stamps))
     reader.refuse(cells, samples[2], layout.row)
     condition = () if plan.where is None else plan.where.read
-    hints = [*layout.hints, *filter(None, [hint]), *error_hints(cells.odd, samples[2], layout.row)]
+    hints = [*layout.hints, *plan.hints, *filter(None, [hint])]
+    hints += error_hints(cells.odd, samples[2], layout.row)
     hints += unsaid_hints(cells.odd, condition, layout.row)
     dt = _period_of(layout, plan, model, time)
     recording = Recording.filed(model, samples, (time, stamps, written), path.name, dt)
