@@ -137,7 +137,9 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
     from jaxbound.recordings.recordingformat import with_format
     from jaxbound.recordings.signals import Signals
 
-    own = {"where": args.where} if args.where else {}
+    own = {}
+    if args.where:
+        own["where"] = args.where
     if file is not None and not args.outputs:
         if args.inputs:
             raise ValueError(f"--inputs without --outputs: give both, or none for the signals of {file}")

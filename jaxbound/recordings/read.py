@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,7 @@ from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import Formatted, Stated
 from jaxbound.recordings.seams import FEW, TOLERATED_DT, UNITS, varied_steps
-from jaxbound.recordings.signals import Named, Signals, signals_of
+from jaxbound.recordings.signals import Named, SignalModel, Signals, signals_of
 from jaxbound.recordings.source import KINDS, Source
 from jaxbound.recordings.table import Data
 from jaxbound.text.progress import Progress, in_part, reporter
@@ -71,7 +72,7 @@ def read(path: object, model: Named, progress: Progress | None = None, recording
     """
     report = reporter(progress, "read")
     if recording is not None:
-        model = Formatted(signals_of(model), recording)
+        model = cast(SignalModel, Formatted(signals_of(model), recording))
     return open_source(path, model).read(progress=report)
 
 
