@@ -167,7 +167,8 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
     if layout.how.equal and written is not None:
         rows = _counting_rows(reader, time)
         cells, time, written = cells.kept(rows), time[rows], written.filter(to_arrow(rows))
-        stamps = None if stamps is None else stamps[rows]
+        if stamps is not None:
+            stamps = stamps[rows]
     columns = dict(cells.columns)
     if layout.how.hold:
         columns |= {
