@@ -22,7 +22,9 @@ from jaxbound.recordings.factors import (
     narrowed,
     with_factors,
 )
+from jaxbound.recordings.notations import noted_numbers
 from jaxbound.recordings.oddcells import OddCells, error_hints, odd_of_frame, refuse_odd, unsaid_hints
+from jaxbound.recordings.recordingformat import format_of
 from jaxbound.recordings.selection import Column, column_for, expressions_of, period
 from jaxbound.recordings.signals import Named
 from jaxbound.recordings.table import Data, as_table, is_table
@@ -246,17 +248,28 @@ def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, np.ndarra
     """
     cleaned = {name: x for name, x in (("y", y), ("u", u)) if is_table(x)}
     odd: dict[str, OddCells] = {}
+    how, hints = format_of(model), []
     for name, frame in cleaned.items():
+        for column in _number_columns(frame, model) if how.numbers else ():
+            known = frame[column].mask(frame[column].isin(how.numbers))
+            cleaned[name] = cleaned[name].assign(**{column: known})
         for column in _text_columns(frame, model):
             numbers, cells = odd_of_frame(frame[column])
+            if not len(cells.rows):
+                continue
+            cells = cells.without(how.missing)
             if len(cells.rows):
+                noted = noted_numbers(frame[column].tolist(), how)
+                if noted is not None:
+                    numbers, cells = noted[0], cells.without(cells.words)
+                    hints.append(f"column {column!r} holds numbers like {noted[1]}")
                 odd[column] = cells
-                cleaned[name] = cleaned[name].assign(**{column: numbers})
+            cleaned[name] = cleaned[name].assign(**{column: numbers})
     condition, excluded, row = _condition(model), None, "row {}".format
     if condition is not None and cleaned:
         excluded = fails(computed(condition, cleaned, "the recording"))
     refuse_odd(odd, excluded, row)
-    hints = list(error_hints(odd, excluded, row))
+    hints += error_hints(odd, excluded, row)
     if condition is not None:
         hints += unsaid_hints(odd, condition.columns, row)
     return cleaned.get("u", u), cleaned.get("y", y), excluded, hints
@@ -279,11 +292,16 @@ def _text_columns(frame: "pd.DataFrame", model: Named) -> list[str]:
     words = [c for c in words if list(frame.columns).count(c) == 1]
     if not words:
         return []
+    return [c for c in words if c in _number_columns(frame, model)]
+
+
+def _number_columns(frame: "pd.DataFrame", model: Named) -> list[str]:
+    """Return the columns of a table that a model needs as numbers."""
     signals = (*model.inputs, *model.outputs)
     needed = {*signals, *map(str.strip, map(getattr(model, "column", str), signals))}
     for e in expressions_of(model):
         needed.update(set(e.columns) - e.texts)
-    return [c for c in words if str(c).strip() in needed]
+    return [c for c in frame.columns if str(c).strip() in needed]
 
 
 def _signals_by_name(model: Named, data: Data, name: str, channels: Sequence[str]) -> np.ndarray:

@@ -2,14 +2,17 @@
 names.
 """
 
+from dataclasses import replace
 from functools import partial
 from io import BytesIO, FileIO
 from itertools import chain, islice
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.columns import Arrow, to_arrow, valid
 from jaxbound.recordings.counting import read_numbers
 from jaxbound.recordings.csvlines import lines_of
@@ -35,7 +38,7 @@ from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import NUMBER, TEXT, WORDS, Outline, Progress, Source, with_hints
 from jaxbound.recordings.thousands import all_grouped, in_doubt, may_be_grouped
-from jaxbound.recordings.timestamps import parse_stamps
+from jaxbound.recordings.timestamps import order_of, parse_stamps
 from jaxbound.text.progress import reporter
 
 SHOWN = 200  # lines whose cells show whether a column holds numbers
@@ -161,7 +164,15 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
     written = _written_times(layout, plan, cells)
     _refuse_empty(layout, plan, cells)
     time, stamps, hint = _times_of(reader, written, cells, model)
+    rows = _counting_rows(reader, time, cells)
+    if written is not None and not rows.all():
+        cells, time, written = cells.kept(rows), time[rows], written.filter(to_arrow(rows))
+        stamps = None if stamps is None else stamps[rows]
     columns = dict(cells.columns)
+    if layout.how.hold:
+        columns |= {
+            name: _held(columns[name], time, layout.how.hold) for name in plan.numbers if name in columns
+        }
     if plan.time is not None:  # an expression may compare it with a date
         columns.setdefault(plan.time, time if stamps is None else stamps)
     samples = plan.samples(columns, cells.rows, (time - time[0], stamps))
@@ -174,8 +185,59 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
     ]
     dt = _period_of(layout, plan, model, time)
     recording = Recording.filed(model, samples, (time, stamps, written), path.name, dt)
+    recording = replace(recording, taken=_taken(reader, cells, written, stamps))
     report(0.9)
     return with_hints(model, recording, layout.row, plan.condition, hints)
+
+
+def _taken(
+    reader: LineReader, cells: Cells, written: "Arrow | None", stamps: np.ndarray | None
+) -> RecordingFormat:
+    """Return the format by which a file was read, as far as another file of the plant may not show it."""
+    how, sign = reader.layout.how, cells.decimal or reader.sign
+    taken: dict[str, Any] = {}
+    for notation in reader.notations.values():
+        for name, value in notation.stated.items():
+            if taken.setdefault(name, value) != value:
+                return how  # columns have a notation each
+    for name, x in cells.columns.items():
+        is_plain = name not in reader.notations and name not in reader.texts and name != reader.plan.time
+        if is_plain and taken.get("decimal", sign) != sign and (x != np.floor(x)).any():
+            return how
+    if written is not None and stamps is not None and cells.times is not None:
+        taken["time_format"] = order_of(written, stamps)
+    return RecordingFormat.of({k: x for k, x in taken.items() if x} | how.stated)
+
+
+def _counting_rows(reader: LineReader, time: np.ndarray, cells: Cells) -> np.ndarray:
+    """Return (N,) bool: of rows of one time that which is stated to count, else all that do not repeat the
+    row before; the others are noted.
+    """
+    layout = reader.layout
+    is_same = np.diff(time) == 0
+    rows = np.ones(len(time), bool)
+    if not is_same.any():
+        return rows
+    reason = "have the time of another row"
+    if layout.how.equal == "last":
+        rows[:-1] = ~is_same
+    else:
+        rows[1:] = ~is_same
+    if not layout.how.equal:
+        rows[1:] |= ~cells.repeated
+        reason = "repeat the row before"
+    gone = [layout.number(int(k)) for k in np.flatnonzero(~rows)]
+    if gone:
+        reader.left[reason] = gone
+        layout.blank[:] = sorted([*layout.blank, *gone])
+    return rows
+
+
+def _held(x: np.ndarray, time: np.ndarray, hold: str) -> np.ndarray:
+    """Return numbers (N,) in which the last one stands for blank cells behind it, for so long."""
+    last = np.maximum.accumulate(np.where(np.isnan(x), 0, np.arange(len(x))))
+    fresh = np.abs(time - time[last]) <= seconds_of(hold)
+    return np.where(np.isnan(x) & fresh, x[last], x)
 
 
 _FileTimes = tuple[np.ndarray, np.ndarray | None, str]

@@ -73,8 +73,12 @@ class Layout:
 
     def row(self, k: int) -> str:
         """Return how the user finds sample k."""
+        return f"row {self.number(k)}"
+
+    def number(self, k: int) -> int:
+        """Return the number of the line of sample k."""
         samples_before = [line - self.skip - 1 - i for i, line in enumerate(self.blank)]
-        return f"row {k + self.skip + 1 + bisect_right(samples_before, k)}"
+        return k + self.skip + 1 + bisect_right(samples_before, k)
 
     def text(self, line: bytes) -> str:
         """Return a line as text."""

@@ -34,14 +34,14 @@ from jaxbound.recordings.oddcells import OddCells, no_number, refuse_odd
 from jaxbound.recordings.recordingformat import RecordingFormat
 from jaxbound.recordings.selection import wanted
 from jaxbound.recordings.signals import SignalModel
-from jaxbound.recordings.timestamps import parse_stamps, with_day
+from jaxbound.recordings.timestamps import DATES, parse_stamps, with_day
 
 if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.csv as pc
 
 FEW = 8  # lines that are read one by one, sooner than pyarrow gets going
-SINGULAR = {"are": "is", "hold": "holds", "repeat": "repeats"}
+SINGULAR = {"are": "is", "have": "has", "hold": "holds", "repeat": "repeats"}
 Opened = Callable[[], IO[bytes]]
 """Opens the bytes of the lines, from their beginning."""
 
@@ -60,6 +60,33 @@ class Cells(NamedTuple):
     odd: dict[str, OddCells]
     rows: int
     decimal: str = ""
+
+    @property
+    def repeated(self) -> np.ndarray:
+        """(N - 1,) bool: whether each row but the first holds what the row before it does."""
+        same = np.ones(max(self.rows - 1, 0), bool)
+        for x in self.columns.values():
+            missing = x != x  # NaN; a text is what it is
+            same &= (x[1:] == x[:-1]) | (missing[1:] & missing[:-1])
+        for cells in self.odd.values():  # words are not compared
+            same[np.maximum(cells.rows - 1, 0)] = False
+            same[np.minimum(cells.rows, len(same) - 1)] = False
+        return same
+
+    def kept(self, rows: np.ndarray) -> "Cells":
+        """Return the cells of some rows, (N,) bool."""
+        import pyarrow as pa
+
+        places = np.cumsum(rows) - 1
+        odd = {}
+        for name, words in self.odd.items():
+            left = [k for k, row in enumerate(words.rows.tolist()) if rows[row]]
+            odd[name] = OddCells(places[words.rows[left]], [words.words[k] for k in left])
+        columns = {name: x[rows] for name, x in self.columns.items()}
+        times = self.times
+        if times is not None:
+            times = times.filter(pa.array(rows))
+        return Cells(columns, times, odd, int(rows.sum()), self.decimal)
 
 
 class LineReader:
@@ -88,7 +115,8 @@ class LineReader:
         self.left: dict[str, list[int]] = {}
         self.sign = ""  # of most numbers, where some cells hold none
         self.is_text = time is not None and (
-            bool(layout.how.time_format) or not is_number(layout.first[self.index[time]], layout.decimal)
+            layout.how.time_format not in ("", *DATES)
+            or not is_number(layout.first[self.index[time]], layout.decimal)
         )
         if self.is_text:
             self.texts |= {name for name in (time, self.plan.day) if name is not None}
@@ -148,20 +176,12 @@ class LineReader:
         )
 
     def _without_missing(self, cells: Cells) -> Cells:
-        """Return cells in which what is stated to be missing is."""
-        missing = self.layout.how.missing
-        if not missing:
-            return cells
-        numbers = [float(x.replace(",", ".")) for x in missing if is_number(x, ",")]
-        odd = dict(cells.odd)
+        """Return cells without the words that are stated to stand for missing samples."""
+        odd = {}
         for name, words in cells.odd.items():
-            kept = [k for k, word in enumerate(words.words) if word not in missing]
-            odd[name] = OddCells(words.rows[kept], [words.words[k] for k in kept])
-            if not kept:
-                del odd[name]
-        for name, x in cells.columns.items():
-            if name not in self.texts and name != self.plan.time:
-                cells.columns[name] = np.where(np.isin(x, numbers), np.nan, x)
+            others = words.without(self.layout.how.missing)
+            if others.words:
+                odd[name] = others
         return cells._replace(odd=odd)
 
     def aside(self, line: bytes) -> str:

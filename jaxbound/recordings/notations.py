@@ -128,6 +128,29 @@ def notation_of(cells: Arrow, decimals: Sequence[str], how: RecordingFormat) -> 
     return None
 
 
+def noted_numbers(cells: Sequence[object], how: RecordingFormat) -> tuple[np.ndarray, str] | None:
+    """Return (numbers (N,), NaN where there is none; the notation in words) of a column of a table, if all
+    its cells are texts of one notation, None or NaN.
+    """
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    texts: list[str | None] = []
+    for cell in cells:
+        if isinstance(cell, str):
+            texts.append(None if cell.strip() in how.missing else cell.strip())
+        elif cell is None or cell != cell:
+            texts.append(None)
+        else:
+            return None
+    column = pa.array(texts, pa.string())
+    known = pc.drop_null(column)
+    notation = notation_of(known, (".",), how)
+    if notation is None:
+        return None
+    return notation.numbers(column)[0], f"{known[0].as_py()!r}, read so: {notation.words}"
+
+
 def _truths(how: RecordingFormat) -> Iterable[tuple[tuple[str, float], ...]]:
     """Yield words and their values: what is stated, and usual pairs."""
     if how.on:

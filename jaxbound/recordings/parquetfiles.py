@@ -15,6 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from jaxbound.recordings.recordingformat import format_of
 from jaxbound.recordings.selection import STAMPS, Wanted, wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.timestamps import stamp_kind
@@ -215,6 +216,7 @@ def plan_of(
     def kind_of_cells(name: str) -> str:
         return "stamp" if name != INDEX and name in dated else ""
 
+    format_of(model).refuse_in("Parquet", "hold", "equal", "time_unit", "zone")
     plan = wanted(names, model, kind_of_cells)
     if plan.time is None and INDEX in types and pa.types.is_temporal(types[INDEX]):
         return replace(plan, time=INDEX)

@@ -33,6 +33,7 @@ from jaxbound.recordings.means import (
     recorded_model,
     refuse_every,
 )
+from jaxbound.recordings.recordingformat import UNSTATED, RecordingFormat
 from jaxbound.recordings.seams import Clock, all_starts, around, aside, check_period, crossing, tick
 from jaxbound.recordings.selection import without_looks_of
 from jaxbound.recordings.signals import Named, SignalModel, signals_of
@@ -79,7 +80,8 @@ class Recording:
             none.
         stamps: (T,) datetime64[ns] where a file or an index has dates, else None.
         written: the time as the file has it, a pyarrow array; None: there was no file, or no time in it.
-        hints: sentences that the user should read. source: name of the file.
+        hints: sentences that the user should read. source: name of the file. taken: how it was found to be
+            written, as far as another file of the plant may not show it.
     """
 
     u: np.ndarray
@@ -96,6 +98,7 @@ class Recording:
     written: pa.Array | None = None
     hints: tuple[str, ...] = ()
     source: str = ""
+    taken: RecordingFormat = UNSTATED
 
     @classmethod
     def of(

@@ -2,7 +2,7 @@
 
 import codecs
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
@@ -27,8 +27,9 @@ class RecordingFormat:
             that begins lines which are none. delimiter: between cells. decimal, thousands: signs in numbers.
             encoding: of text, as Python calls it.
         every: the interval whose means are samples. time: the column of times. time_format: of their texts,
-            as `datetime.strptime` has it. time_unit: of their numbers: ns, us, ms, s, min, h or d. zone: of
-            time stamps that name none, like "Europe/Berlin".
+            as `datetime.strptime` has it; that of a date alone says the order of day and month. time_unit: of
+            their numbers: ns, us, ms, s, min, h or d. zone: of time stamps that name none, like
+            "Europe/Berlin".
         missing: words and numbers that stand for missing samples. on, off: words for 1 and 0.
         hold: how long a sample stands for blank cells behind it, like "10min", in files that are written when
             a value changes. equal: the row that counts among those of one time, "first" or "last".
@@ -92,6 +93,23 @@ class RecordingFormat:
         return {name: value for name, value in values.items() if value not in (None, "", ())}
 
     @property
+    def numbers(self) -> tuple[float, ...]:
+        """The numbers that stand for missing samples."""
+        numbers = []
+        for word in self.missing:
+            try:
+                numbers.append(float(word.replace(",", ".")))
+            except ValueError:  # a word
+                continue
+        return tuple(numbers)
+
+    def refuse_in(self, where: str, *names: str) -> None:
+        """Raise ValueError if one of these fields is stated. where: it cannot be, like "a pipe"."""
+        for name in names:
+            if name in self.stated:
+                raise ValueError(f"{name} of {RECORDING} is for CSV files, not for {where}")
+
+    @property
     def text(self) -> str:
         """The fields that are stated as text, from which `of` reads them."""
         return json.dumps(self.stated)
@@ -129,6 +147,17 @@ class Formatted:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._model, name)
+
+
+def agreed(formats: Iterable[RecordingFormat]) -> dict[str, Any]:
+    """Return the fields that are the same in all of some formats that state them."""
+    stated: dict[str, Any] = {}
+    other: set[str] = set()
+    for one in formats:
+        for name, value in one.stated.items():
+            if stated.setdefault(name, value) != value:
+                other.add(name)
+    return {name: value for name, value in stated.items() if name not in other}
 
 
 def format_of(model: object) -> RecordingFormat:

@@ -18,6 +18,7 @@ from jaxbound.recordings.expressions import (
     likely,
 )
 from jaxbound.recordings.factors import by_name, factors_of, with_factors
+from jaxbound.recordings.recordingformat import format_of
 from jaxbound.recordings.signals import Named, SignalModel
 from jaxbound.text.names import listed
 
@@ -57,7 +58,7 @@ class Wanted:
     Fields: inputs, outputs: a Column or an Expression for each signal; where: the Expression of the
     condition, or None; time: the column of the time, or None; day: the column of the day where the time is
     only that of a day, or None; factors: an Expression for each factor of the model, over columns and inputs;
-    model: whose factors they are.
+    model: whose factors they are; missing: numbers that stand for missing samples.
     """
 
     inputs: tuple[Column | Expression, ...]
@@ -67,6 +68,7 @@ class Wanted:
     day: str | None = None
     factors: tuple[Expression, ...] = ()
     model: Named | None = None
+    missing: tuple[float, ...] = ()
 
     @property
     def every(self) -> tuple[Column | Expression, ...]:
@@ -141,6 +143,9 @@ class Wanted:
         if self.model is not None:
             dt = dt or period(self.model, since)
         columns = {**columns, **derived(self.clock, count, since, stamps, dt)}
+        for name in self.numbers if self.missing else ():
+            if name in columns and name != self.time:
+                columns[name] = np.where(np.isin(columns[name], self.missing), np.nan, columns[name])
         u, y = _stack(self.inputs, columns, count, None), _stack(self.outputs, columns, count, dtype)
         excluded = None
         if self.where is not None:
@@ -178,7 +183,8 @@ def wanted(names: Sequence[str], model: SignalModel, dated: Callable[[str], str]
     factors = []
     for factor in factors_of(model):
         factors.append(factor.expression.among(dict.fromkeys((*model.inputs, *names))))
-    signals = Wanted(inputs, outputs, None, None, factors=tuple(factors), model=model)
+    missing = format_of(model).numbers
+    signals = Wanted(inputs, outputs, None, None, factors=tuple(factors), model=model, missing=missing)
     taken = signals.signals
     free = [name for name in names if name not in taken]
     day, time = time_column(names, free, model.columns.get("time"), dated, getattr(model, "dt", None))

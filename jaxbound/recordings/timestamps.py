@@ -73,7 +73,7 @@ def parse_stamps(
     Raises:
         ValueError: no known format, or a cell that does not follow that of the first.
     """
-    if not how.time_format:
+    if how.time_format in ("", *DATES):
         iso = iso_stamps(cells, where)
         if iso is not None and iso.dtype != STAMPS:
             return _since_first(iso), None, f"{FAR}: times count from the first row"
@@ -114,17 +114,17 @@ def _readings(
     cells: "pa.Array", where: Callable[[int], str], how: RecordingFormat
 ) -> list[tuple[str, np.ndarray]]:
     """Return (format, stamps) of each format that all cells have; refuse cells without any."""
-    zones = None
-    if how.time_format:
+    zones, date = None, how.time_format
+    if date not in ("", *DATES):
         read = [(how.time_format, _as_stated(cells, how.time_format, where))]
     else:
         try:
-            read = _in_formats(cells, _split_fraction(cells), where)
+            read = _in_formats(cells, _split_fraction(cells), where, date)
         except ValueError as refused:
             tidy = tidied(cells)
             zones = tidy.zones
             try:
-                read = _in_formats(cells, tidy, where)
+                read = _in_formats(cells, tidy, where, date)
             except ValueError:
                 raise refused from None
     try:
@@ -165,17 +165,19 @@ def _has_zone(cells: "pa.Array") -> bool:
     return re.search(r":\d\d(\.\d+)?([Zz]|[+-]\d\d(:?\d\d)?)$", cells[0].as_py().strip()) is not None
 
 
-def _in_formats(cells: "pa.Array", tidy: Tidied, where: Callable[[int], str]) -> list[tuple[str, np.ndarray]]:
+def _in_formats(
+    cells: "pa.Array", tidy: Tidied, where: Callable[[int], str], date: str
+) -> list[tuple[str, np.ndarray]]:
     """Return (format, stamps) of each known format that all cells have; refuse cells without any.
 
     Args:
-        cells: as they stand in the recording. tidy: what is read of them.
+        cells: as they stand in the recording. tidy: what is read of them. date: that formats begin with.
     """
     first = tidy.texts[0].as_py()
     read = []
     for form in FORMATS:
         # a fraction is one of a second: none of 08:30.5 is an hour
-        if _has_format(first, form) and (not tidy.fine or "%S" in form):
+        if form.startswith(date) and _has_format(first, form) and (not tidy.fine or "%S" in form):
             read.append((form, _stamps_in(tidy.texts, tidy.more, form, where)))
     if not read:
         raise ValueError(
@@ -190,6 +192,26 @@ def _in_formats(cells: "pa.Array", tidy: Tidied, where: Callable[[int], str]) ->
             f"{where(bad)} of the time column is {odd!r}: not a time stamp like the first, {usual!r}"
         )
     return complete
+
+
+def order_of(cells: "pa.Array", stamps: np.ndarray) -> str:
+    """Return the format of the dates of texts in which day and month could change places, "" of others.
+
+    Args:
+        cells: (N,) texts. stamps: (N,) as they were read.
+    """
+    dates = []
+    for form in FORMATS:
+        date = form.split("T%")[0].split(" %H")[0].split(" %I")[0]
+        swapped = date.replace("%d", "%_").replace("%m", "%d").replace("%_", "%m")
+        if date == swapped or swapped not in DATES:
+            continue
+        ends = [(cells[k].as_py().strip(), stamps[k]) for k in (0, len(stamps) - 1)]
+        if all(_has_format(x, form) and np.datetime64(datetime.strptime(x, form)) == t for x, t in ends):
+            dates.append(date)
+    if len(dates) != 1:
+        return ""
+    return dates[0]
 
 
 def instant_of(time: object) -> float:
@@ -244,7 +266,7 @@ def stamp_kind(cell: str | None, form: str = "") -> str:
 
     if not cell or not any(c.isdigit() for c in cell) or len(cell) > LONGEST:
         return ""
-    if form and _has_format(cell.strip(), form):
+    if form not in DATES and _has_format(cell.strip(), form):
         return "stamp"
     if DIGITS.fullmatch(cell.strip()):
         if _has_format(cell.strip(), DATES[-1]):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import agreed, with_format
 from jaxbound.studies.identification.records import Names, Records, common_period, read_each
 from jaxbound.studies.identification.regression import Scales, scales_of
 
@@ -42,6 +43,7 @@ class Training:
         every, records = read_each(recordings, inputs, outputs, columns, dt), []
         for one in every:
             records.append((np.asarray(one.u, np.float64), np.asarray(one.y, np.float64), one.starts))
+        columns = with_format(columns, agreed(recording.taken for recording in every))
         names = every[0].inputs, every[0].outputs
         return cls(recordings, *names, common_period(dt, every), records, columns)
 
