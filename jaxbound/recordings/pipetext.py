@@ -63,7 +63,7 @@ class PipeText(Stream):
         taken: Taken | None = None,
     ) -> None:
         super().__init__(model, complain, taken)
-        format_of(model).refuse_in("a pipe", "hold", "equal")
+        format_of(model).refuse_in("a pipe", "hold", "equal", "long")
         self.tail = self.rest = b""  # half a line; half a line of a process before
         self.head: list[bytes] = []  # the header and the first row of data, perhaps a line with the delimiter
         self.reader: LineReader | None = None  # as soon as there is a row of data
