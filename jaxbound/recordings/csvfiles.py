@@ -176,7 +176,8 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
     rows = _counting_rows(reader, time, cells)
     if written is not None and not rows.all():
         cells, time, written = cells.kept(rows), time[rows], written.filter(to_arrow(rows))
-        stamps = None if stamps is None else stamps[rows]
+        if stamps is not None:
+            stamps = stamps[rows]
     if layout.how.hold and written is not None:
         reader.refuse(cells, None, layout.row)
         cells, time, stamps, written = _held(reader, cells, time, stamps, model)

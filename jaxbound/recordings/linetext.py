@@ -80,8 +80,8 @@ class Cells(NamedTuple):
         places = np.cumsum(rows) - 1
         odd = {}
         for name, words in self.odd.items():
-            left = [k for k, row in enumerate(words.rows.tolist()) if rows[row]]
-            odd[name] = OddCells(places[words.rows[left]], [words.words[k] for k in left])
+            left = words.at(rows[words.rows])
+            odd[name] = OddCells(places[left.rows], left.words)
         columns = {name: x[rows] for name, x in self.columns.items()}
         times = self.times
         if times is not None:
@@ -202,9 +202,10 @@ class LineReader:
         if not text.strip(layout.delimiter + ' "'):
             return "hold no cell"
         cells = layout.cells(line)
-        times = [self.index[name] for name in (self.plan.day, self.plan.time) if name is not None]
-        if len(cells) == len(layout.names) and any(cells[i].strip() in BLANK_CELLS for i in times):
-            return "hold no time"
+        for name in (self.plan.day, self.plan.time):
+            is_whole = name is not None and len(cells) == len(layout.names)
+            if is_whole and cells[self.index[str(name)]].strip() in BLANK_CELLS:
+                return "hold no time"
         return ""
 
     def sifted(self, opened: Opened) -> bytes | None:
@@ -218,14 +219,16 @@ class LineReader:
         rows, left = [], self.left
         for number in range(self.layout.skip, len(lines)):
             line = lines[number]
-            reason = "are left out as stated" if number + 1 in skipped else self.aside(line)
+            reason = self.aside(line)
+            if number + 1 in skipped:
+                reason = "are left out as stated"
             if reason:
                 left.setdefault(reason, []).append(number + 1)
             elif not self.layout.is_blank(line):
-                rows.append(number)
+                rows.append(number + 1)
         footer = self._footer(lines, rows)
         if footer:
-            left["hold no sample, behind the last"] = [number + 1 for number in footer]
+            left["hold no sample, behind the last"] = footer
         untimed = left.get("hold no time", ())
         if not left or 2 * len(untimed) > len(rows) + len(untimed):
             return None
@@ -235,10 +238,10 @@ class LineReader:
         return b"\n".join([*lines, tail])
 
     def _footer(self, lines: Sequence[bytes], rows: Sequence[int]) -> list[int]:
-        """Return the places of lines, behind all rows, that hold no sample; [] where there are many."""
+        """Return the numbers of lines, behind all rows, that hold no sample; [] where there are many."""
         behind: list[int] = []
         for number in reversed(rows):
-            if self._is_sample(lines[number]):
+            if self._is_sample(lines[number - 1]):
                 return behind[::-1]
             behind.append(number)
             if len(behind) > FURTHER:
@@ -267,7 +270,9 @@ class LineReader:
     def time_name(self) -> str:
         """The name of the column of times, behind which the unit stands that is stated."""
         unit = self.layout.how.time_unit
-        return f"{self.plan.time} [{unit}]" if unit else str(self.plan.time)
+        if not unit:
+            return str(self.plan.time)
+        return f"{self.plan.time} [{unit}]"
 
     @property
     def left_hints(self) -> list[str]:
@@ -550,7 +555,7 @@ def reader_of(head: Head, model: SignalModel, how: RecordingFormat) -> LineReade
                 reader = LineReader(layout_of(head, how, number), model)
             except ValueError:
                 continue
-            above = sum(1 for other in head.lines[: number - 1] if other.strip())
+            above = len(list(filter(str.strip, head.lines[: number - 1])))
             rows = f"{above} row{'s' * (above != 1)}"
             if above:
                 reader.layout.hints.append(

@@ -76,7 +76,7 @@ def _coded(cells: Arrow) -> tuple[list[str], np.ndarray]:
 
 
 def _instants(stamps: list[str], layout: Layout) -> np.ndarray:
-    """Return what times are sorted by."""
+    """Return the numbers by which times are sorted."""
     import pyarrow as pa
 
     if all(is_number(stamp, layout.decimal) for stamp in stamps):
@@ -109,7 +109,7 @@ def _refuse_two(
 
 
 def _refuse_unequal(table: np.ndarray, names: list[str], how: RecordingFormat) -> None:
-    """Raise ValueError where tags have times of their own and nothing is said of how long a value stands."""
+    """Raise ValueError for tags with times of their own, where nobody states how long a value stands."""
     if how.hold:
         return
     shares = (table >= 0).mean(0)

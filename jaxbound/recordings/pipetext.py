@@ -296,11 +296,11 @@ class PipeText(Stream):
             return reader.trouble(row)
         if not self.regular and reader.plan.time is None:
             raise ValueError(f"{SOURCE} has no column of times: means over intervals need one")
-        cells = [cell.strip() for cell in layout.cells(row)]
+        cells = list(map(str.strip, layout.cells(row)))
         if how.comment and layout.text(row).startswith(how.comment):
             return ""
         if len(head) < FURTHER and not any(c != "1" and is_value(c, layout.decimal, how) for c in cells):
-            if any(cell not in ("1", *MISSING_CELLS) for cell in cells):
+            if {*cells} - {"1", *MISSING_CELLS}:
                 return ""  # units, perhaps
         self.head, self.reader = head, reader
         if layout.delimiter != "," and not how.decimal and not how.thousands:
@@ -310,10 +310,9 @@ class PipeText(Stream):
 
     def _may_be_above(self, head: list[bytes]) -> bool:
         """Return whether the last of some lines may stand above the header: it is no row of numbers."""
-        cells = [cell for cell in re.split(rb"[;,\t]", head[-1]) if cell.strip()]
-        values = [is_value(cell.decode("latin-1"), ",") for cell in cells]
-        widths = {len(re.split(rb"[;,\t]", line)) for line in (head[-2], head[-1])}
-        return sum(values) < 2 or len(widths) > 1
+        above, last = (re.split(rb"[;,\t]", line) for line in head[-2:])
+        values = sum(is_value(cell.decode("latin-1"), ",") for cell in last)
+        return values < 2 or len(above) != len(last)
 
     def _joined(self, line: bytes) -> bytes | None:
         """Return the first line of a stream that goes on behind half a line: that line, or the whole one.

@@ -3,10 +3,11 @@
 import codecs
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 from jaxbound.recordings.clockintervals import seconds_of
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.units import time_unit
 
 TABLE = "recording"
@@ -73,7 +74,9 @@ class RecordingFormat:
         """
         if isinstance(given, RecordingFormat):
             return given
-        table: Any = json.loads(given) if isinstance(given, str) else given or {}
+        table: Any = given or {}
+        if isinstance(given, str):
+            table = json.loads(given)
         stated: dict[str, Any] = {}
         for name, value in table.items():
             if name not in READERS:
@@ -92,8 +95,7 @@ class RecordingFormat:
     @property
     def stated(self) -> dict[str, Any]:
         """The fields that are stated."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: value for name, value in values.items() if value not in (None, "", ())}
+        return {name: value for name, value in vars(self).items() if value not in (None, "", ())}
 
     @property
     def numbers(self) -> tuple[float, ...]:
@@ -149,13 +151,14 @@ class Formatted:
     """The signals of a model whose recordings are written in another format than it states.
 
     Args:
-        model: a SignalModel. given: see `RecordingFormat.of`.
+        model: whose signals. given: see `RecordingFormat.of`.
     """
 
-    def __init__(self, model: Any, given: Stated) -> None:
+    def __init__(self, model: SignalModel, given: Stated) -> None:
         self._model, self.columns = model, with_format(model.columns, given)
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
+        """Return an attribute of the model."""
         return getattr(self._model, name)
 
 
@@ -185,9 +188,9 @@ def _text(value: object) -> str:
 def _texts(value: object) -> tuple[str, ...]:
     """Return words or numbers as they are written."""
     if isinstance(value, str):
-        return tuple(word.strip() for word in value.split(",") if word.strip())
+        return tuple(filter(None, map(str.strip, value.split(","))))
     if isinstance(value, Sequence):
-        return tuple(str(word).strip() for word in value)
+        return tuple(map(str.strip, map(str, value)))
     return (str(value),)
 
 
