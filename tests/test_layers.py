@@ -11,6 +11,7 @@ import pytest
 from sources import imports
 
 import jaxbound as jb
+from benchmarks.pictures import HOUSE
 
 PACKAGE = Path(jb.__file__).parent
 FLOORS = (
@@ -100,6 +101,11 @@ def test_every_folder_is_known():
         "py.typed",
         "sklearn.py",  # an optional face
     }
+
+
+def test_the_drawing_of_the_house_has_every_floor():
+    drawn = [room for _, *rooms in reversed(HOUSE) for room, *_ in rooms]
+    assert [*drawn, "__main__"] == [*FLOORS]
 
 
 def test_imports_point_down():

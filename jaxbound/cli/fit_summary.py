@@ -15,6 +15,7 @@ from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import CLOCK, expression
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.signal_choice import GIVEN
+from jaxbound.studies.identification.trial import few_days
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, best_test
 from jaxbound.text.units import without_unit
 
@@ -23,6 +24,8 @@ CHECKED = (
     "hidden"
 ).split()
 """Fields of a `FitCheck` that JSON has as they are."""
+WIDEST = "recording sample when share where span rest cost missing stepping".split()
+"""Fields of a `Widest` that JSON has as they are."""
 Signal = str | tuple[str, str]  # a column of that name, or (name, column)
 MEMORY = 1.5  # times the window that a plant must remember before longer windows are spoken of
 SHOWN = 4
@@ -128,6 +131,7 @@ class FitConclusion(Conclusion):
             "resolution": _bounds_by_output(model, model.resolution),
             **{name: getattr(check, name) for name in CHECKED},
             "follow": check.follows,
+            "widest": check.widest and {name: getattr(check.widest, name) for name in WIDEST},
             "average": _average(check),
             "inputs": model.inputs,
             "tests": [_plain_test(test, model) for test in check.tests],
@@ -149,6 +153,8 @@ class FitConclusion(Conclusion):
         what = "sample" if model.horizon is None else "window"
         for file, numbers in zip(self.files, check.recordings, strict=True):
             yield str(file), _recording_text(numbers, what)
+        if check.widest is not None:
+            yield from check.widest.rows(self.files)
         yield from _tried_signals(model)
         yield from _tried_tests(model)
         yield from _left_out(check, self.files)
@@ -285,6 +291,9 @@ def _left_out(check: FitCheck, files: Sequence[Path]) -> Iterator[Row]:
         if one.why:
             text = f"unknown: {one.why}"
         yield f"left out: {name}", text
+    few = few_days(len(files))
+    text = f"{check.factor / few:.3g}, the mean of these, times {few:.3g} for so few recordings"
+    yield "factor", text
     count = 0
     if len(files) > 1:
         count = sum(not one.why for one in check.left_out)
@@ -307,7 +316,9 @@ def promise(factor: float, count: int) -> str:
     text = f"bounds are {factor:.3g} times the smallest for these"
     if not count:
         return text
-    return f"{text}; of recordings like them one in {count + 1} may still ask for more"
+    return (
+        f"{text}; of recordings like them one in {count + 1} may still ask for more, of more recordings fewer"
+    )
 
 
 def _memory(model: Fitted) -> Iterator[Row]:

@@ -117,9 +117,11 @@ def test(more: str = "") -> dict[str, str]:
 
 
 RULE = {
-    "--alarm RULE": "3/5: an alarm needs 3 FAULT among 5 windows; or fields of [alarms] of the model file: "
-    "rule=3/5, merge=10min (alarms so far apart are one), suspects=true, least=0.5 or least.T1=0.5 (smaller "
-    "errors make none), latch=true, acknowledged=FILE (default: those of the model, else 1/1)"
+    "--alarm RULE": "3/5: an alarm needs 3 FAULT among 5 windows; plain: each stretch of FAULT is one, as of "
+    "faults that end; or fields of [alarms] of the model file: rule=3/5, latch=true (on until a repair, or "
+    "an acknowledgement), merge=10min (alarms so far apart are one, merge=10 counts samples), suspects=true, "
+    "least=0.5 or least.T1=0.5 (smaller errors make none), acknowledged=FILE (default: those of the model, "
+    "else plain)"
 }
 COVERAGE = {"--min-coverage F": "least share of decided windows (default: 0.5)"}
 """By which verdicts become a conclusion."""

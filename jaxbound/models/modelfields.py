@@ -97,6 +97,7 @@ FIELDS: Mapping[str, Mapping[str, ValueKind]] = {
         "horizon": WHOLE,
         "lags": LAGS,
         "left_out": NUMBER,
+        "extrapolation": NUMBER,
         "time": TEXT,
         "where": TEXT,
         "constant_tolerance": TRUTH,
@@ -190,6 +191,7 @@ def _stated(model: LinearSystem) -> dict[str, list[Table]]:
         "horizon": model.horizon,
         "lags": model.lags,
         "left_out": model.left_out,
+        "extrapolation": model.extrapolation,
         "constant_tolerance": model.constant_tolerance or None,
         "states": [(name, model.units.get(name)) for name in model.states],
     }
@@ -271,7 +273,7 @@ def model_arguments(document: Table) -> dict[str, Any]:
     arguments["columns"] = with_format(
         arguments["columns"], checked_table(f"[{TABLE}]", document.get(TABLE, {}))
     )
-    for name in ("name", "lags", "left_out", "constant_tolerance"):
+    for name in ("name", "lags", "left_out", "extrapolation", "constant_tolerance"):
         if name in top:
             arguments[name] = top[name]
     tests = stated_tests(as_list("test", document.get("test", [])))
