@@ -177,18 +177,19 @@ def widen(
     for one in recordings if isinstance(recordings, list) else [recordings]:
         parts: Any = one if isinstance(one, tuple) and is_pair(one) else (one,)
         days.append(recorded(bank.plant, *parts).finite())
-    grown = {}
-    for number, name in enumerate(bank.names):
-        grown[name] = _grown(bank, number, days, float(most))
-        report(0.9 * (number + 1) / bank.count)
     records = [(day.u[:, : model.m], day.y, day.starts) for day in days]
-    wide, ranges = _widened(model, grown), dict(_ranges(model, records))
-    if wide is not model or ranges:
+    seen, ranges, grown = model, dict(_ranges(model, records)), {}
+    if ranges:  # their windows lie inside now, where bounds may be narrower
+        seen = model.replace(ranges={**model.ranges, **{name: after for name, (_, after) in ranges.items()}})
+    judging = monitor(seen, tests)
+    for number, name in enumerate(bank.names):
+        grown[name] = _grown(judging, number, days, float(most))
+        report(0.9 * (number + 1) / bank.count)
+    wide = _widened(seen, grown)
+    if wide is not model:
         source = listed((place(days, number) for number in range(len(days))), str)
         origin = f"{model.provenance.get('noise', 'not stated')}; widened by {source}"
-        moved = {name: after for name, (_, after) in ranges.items()}
-        origins = {**model.provenance, "noise": origin}
-        wide = wide.replace(provenance=origins, ranges={**model.ranges, **moved})
+        wide = wide.replace(provenance={**model.provenance, "noise": origin})
     widened = Widened(wide, grown, days, ({}, {}), ({}, {}), ranges)
     wider, scales = monitor(wide, tests), scales_of(records)
     if bank.conditions and any(detect(wider, day).counts["FAULT"] for day in days):

@@ -168,3 +168,18 @@ def test_bounds_for_an_observer_are_widened_for_it(rng, tmp_path):
     assert not jb.detect(jb.observer(widened.model), *day).counts["FAULT"]
     with pytest.raises(ValueError, match="for an observer: state it"):
         widen(jb.load_model(tmp_path / "plant.toml"), day)
+
+
+def test_a_day_outside_of_training_is_held_inside(rng):
+    """Its windows had wider bounds as long as they lay outside."""
+    model = jb.LinearSystem(
+        [["0.5"]], [[1]], [[1]], noise="0.1", horizon=2, ranges={"u1": (-1, 1)}, extrapolation=2
+    )
+    u = np.where(np.arange(40) < 20, 0.0, 3.0)[:, None]
+    x, y = 0.0, np.zeros((40, 1))
+    for k in range(40):
+        y[k] = x + rng.uniform(-0.1, 0.1) * (1 + 0.8 * (k > 21))
+        x = 0.5 * x + u[k, 0]
+    assert not jb.detect(jb.monitor(model), u, y).counts["FAULT"]
+    wide = widen(model, (u, y)).model
+    assert set(jb.detect(jb.monitor(wide), u, y).status.tolist()) == {jb.Status.MISSING, jb.Status.CONSISTENT}
