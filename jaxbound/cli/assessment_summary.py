@@ -130,7 +130,7 @@ def _table(named: Named) -> Iterator[tuple[str, ...]]:
     first = _first(named)
     for model, marks in _all_marks(named):
         for score in marks.scores:
-            is_main = (score.k, score.n) == first.rules[0]
+            is_main = score.rule == first.rules[0]
             is_model = bool(model)
             if score.factor == 1 or (is_main and is_model):
                 title = marks.name
@@ -145,7 +145,7 @@ def _cells(score: Score) -> tuple[str, ...]:
         seen = f"{len(score.delays)} of {score.episodes}"
     return (
         f"{score.factor:g}",
-        f"{score.k}/{score.n}",
+        str(score.rule),
         _percent_or_dash(score.false_share),
         _shown(score.alarms_a_day),
         _percent_or_dash(score.missed_share),
@@ -206,7 +206,7 @@ def _plain_marks(marks: Marks) -> dict[str, Any]:
 def _plain_score(score: Score) -> dict[str, Any]:
     return {
         "factor": score.factor,
-        "alarm": f"{score.k}/{score.n}",
+        "alarm": str(score.rule),
         "healthy_windows": score.healthy,
         "healthy_in_alarm": score.false,
         "false_alarms": score.alarms,

@@ -12,8 +12,8 @@ from jaxbound.cli.options import (
     JSON,
     RULE,
     Options,
-    every,
     named,
+    reading,
     some_of,
     test,
     whole_number,
@@ -75,7 +75,7 @@ OPTIONS = Options(
         "and monitor.sqlite, with a rule of alarms also for alarms.csv",
         **test("; method=validation (names the faulty sensor, and what it should have shown)" + CLAIMS),
         **RULE,
-        **every(),
+        **reading(),
         **JSON,
     },
     {"data": named, "chunk": whole_number(1), "part": some_of("i", "2/3"), "overlap": whole_number()},
@@ -118,8 +118,9 @@ def run(args: argparse.Namespace) -> int:
     if whole.part is not None:
         return judge_share(whole, whole.part)
     in_parts = kind.parts and ask.method != VALIDATION
+    replaces = (whole.out / "report.html").exists()
     evaluation = _evaluate_parts(whole) if in_parts else _evaluate_whole(whole)
-    return conclude(evaluation, whole)
+    return conclude(evaluation, whole, replaces)
 
 
 def _run_live(args: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import (
     JSON,
     Options,
-    every,
+    reading,
     some_of,
     test,
 )
@@ -69,7 +69,7 @@ OPTIONS = Options(
         "--compare OTHER.toml ...": "models beside this one",
         "--peers TRAINING ...": "PCA, an isolation forest, a CUSUM and a threshold too, trained on these "
         "healthy recordings: those that the model was fitted to (needs scikit-learn)",
-        **every(),
+        **reading(),
         **JSON,
     },
 )
@@ -170,7 +170,7 @@ def _assessed(
     from jaxbound.recordings.read import read
     from jaxbound.studies.assessment.assessment import FACTORS, assess
 
-    stated = stated_model(path, args.every, ask)
+    stated = stated_model(path, args.recording, ask)
     files = [*args.healthy, *args.faulty]
     training: list[Path] = []
     if with_peers:

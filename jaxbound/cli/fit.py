@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import FORCE, JSON, Options, every
+from jaxbound.cli.options import FORCE, JSON, Options, reading
 from jaxbound.cli.terminal import OK, Refused, door, progress_bars, some_device
 from jaxbound.text.quantities import decimal
 
@@ -39,7 +39,8 @@ OPTIONS = Options(
         "--add": "one of DATA is a model file: it gets bounds just wide enough for the others, and stays as "
         "it is else; without --out that file is changed",
         "--inputs A,B": "columns; or name=column, or name=expression like lift=Tsup-Tmix; names with commas "
-        "or = in backticks or double quotes",
+        "or = in backticks or double quotes; wind=angle(W) becomes wind sin and wind cos, of degrees; "
+        "rate(n) is the growth of a counter in a second, rate(n,65536) of one that begins at 0 again there",
         "--outputs C,D": "as --inputs: what the model is to explain; these and their columns may be left out "
         "with a --recipe from a model file",
         "--recipe RECIPE": "how to fit, and for which test, like order=1,horizon=30 (windows of 31 samples) "
@@ -50,13 +51,12 @@ OPTIONS = Options(
         "faults; follow=auto: bounds follow the operating point; signals=auto: choose inputs; method: least "
         "squares, windows, filters, auto; safety (default: 1.25); held_out (default: 0.3)",
         "--out MODEL.toml": "the model file to write",
-        **every("as recorded"),
+        **reading("as recorded"),
     },
     {"dt": decimal, "most": decimal},
     {"inputs": "", "outputs": ""},
     more={
         "--where EXPR": "condition on columns: samples where it does not hold are no part of the recording",
-        "--time COLUMN": "of the time stamps (default: a column that looks like time)",
         "--dt SECONDS": "sampling period (default: the median step of the time)",
         "--name NAME": "of the plant (default: that of the model file)",
         "--most F": "with --add: bounds that have to grow by more are refused, for a fault would be learnt "
@@ -66,7 +66,7 @@ OPTIONS = Options(
         **JSON,
     },
 )
-NEW = ("inputs", "outputs", "recipe", "where", "time", "dt", "every", "name", "plot")
+NEW = ("inputs", "outputs", "recipe", "where", "recording", "dt", "name", "plot")
 """Options that a model which is widened has no use for."""
 
 
@@ -184,14 +184,18 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
     """
     from jaxbound.cli.fit_summary import named_units, signal_columns
     from jaxbound.models.modelfile import load_model
+    from jaxbound.recordings.expressions import with_angles
+    from jaxbound.recordings.recordingformat import with_format
     from jaxbound.recordings.signals import Signals
 
-    own = {name: value for name in ("time", "where", "every") if (value := getattr(args, name))}
+    own: dict[str, str] = {}
+    if args.where:
+        own["where"] = args.where
     if file is not None and not args.outputs:
         if args.inputs:
             raise ValueError(f"--inputs without --outputs: give both, or none for the signals of {file}")
         model = load_model(file)
-        columns = dict(model.columns) | own
+        columns = with_format(dict(model.columns) | own, args.recording)
         signals = Signals(model.inputs, model.outputs, columns, args.dt or model.dt)
         return signals, dict(model.units), args.name or model.name
     if not args.outputs:
@@ -199,7 +203,9 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
     inputs, outputs = signal_columns("--inputs", args.inputs), signal_columns("--outputs", args.outputs)
     inputs, outputs, units = named_units(inputs, outputs)
     columns = own | dict(signal for signal in (*inputs, *outputs) if not isinstance(signal, str))
-    signals = Signals(_names(inputs), _names(outputs), columns, args.dt)
+    input_names, columns = with_angles(_names(inputs), with_format(columns, args.recording))
+    output_names, columns = with_angles(_names(outputs), columns)
+    signals = Signals(input_names, output_names, columns, args.dt)
     return signals, units, args.name or args.out.stem
 
 

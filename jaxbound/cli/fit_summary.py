@@ -15,6 +15,7 @@ from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import CLOCK, expression
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.signal_choice import GIVEN
+from jaxbound.studies.identification.trial import few_days
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, best_test
 from jaxbound.text.units import without_unit
 
@@ -293,6 +294,9 @@ def _left_out(check: FitCheck, files: Sequence[Path]) -> Iterator[Row]:
         if one.why:
             text = f"unknown: {one.why}"
         yield f"left out: {name}", text
+    few = few_days(len(files))
+    text = f"{check.factor / few:.3g}, the mean of these, times {few:.3g} for so few recordings"
+    yield "factor", text
     count = 0
     if len(files) > 1:
         count = sum(not one.why for one in check.left_out)
@@ -315,7 +319,9 @@ def promise(factor: float, count: int) -> str:
     text = f"bounds are {factor:.3g} times the smallest for these"
     if not count:
         return text
-    return f"{text}; of recordings like them one in {count + 1} may still ask for more"
+    return (
+        f"{text}; of recordings like them one in {count + 1} may still ask for more, of more recordings fewer"
+    )
 
 
 def _memory(model: Fitted) -> Iterator[Row]:

@@ -24,6 +24,7 @@ from jaxbound.cli import (
     fit,
     fleet,
     info,
+    look,
     parameters,
     study,
     tune,
@@ -47,6 +48,7 @@ from jaxbound.text.characters import clipped
 COMMANDS: tuple[Command, ...] = (
     demo,
     example,
+    look,
     detect,
     explain,
     verify,

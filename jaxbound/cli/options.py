@@ -88,11 +88,15 @@ def _parts(usage: str) -> tuple[str, str, str]:
     return flag, flag.strip("-").replace("-", "_"), metavar
 
 
-def every(default: str = "that of the model") -> dict[str, str]:
-    """Return --every. default: of it."""
+def reading(default: str = "that of the model") -> dict[str, str]:
+    """Return --recording. default: of its field every."""
     return {
-        "--every 15min": "samples are the means of what was recorded within each such interval of the clock, "
-        f"in ms, s, min, h or d (default: {default})"
+        "--recording FIELDS": "how files are read: every=15min (samples are the means of what was recorded "
+        "within each such interval of the clock, in ms, s, min, h or d; default: "
+        f"{default}); and how they are written, beside [recording] of the model file, like "
+        "header=3,decimal=comma: header (row), skip (rows), comment, delimiter, decimal, thousands, "
+        "encoding; time (column), time_format, time_unit, zone; missing, on, off (words); hold, equal "
+        "(default: found by looking)"
     }
 
 
@@ -112,9 +116,11 @@ def test(more: str = "") -> dict[str, str]:
 
 
 RULE = {
-    "--alarm RULE": "3/5: an alarm needs 3 FAULT among 5 windows; or fields of [alarms] of the model file: "
-    "rule=3/5, merge=10min (alarms so far apart are one), suspects=true, least=0.5 or least.T1=0.5 (smaller "
-    "errors make none), latch=true, acknowledged=FILE (default: those of the model, else 1/1)"
+    "--alarm RULE": "3/5: an alarm needs 3 FAULT among 5 windows; plain: each stretch of FAULT is one, as of "
+    "faults that end; or fields of [alarms] of the model file: rule=3/5, latch=true (on until a repair, or "
+    "an acknowledgement), merge=10min (alarms so far apart are one, merge=10 counts samples), suspects=true, "
+    "least=0.5 or least.T1=0.5 (smaller errors make none), acknowledged=FILE (default: those of the model, "
+    "else plain)"
 }
 COVERAGE = {"--min-coverage F": "least share of decided windows (default: 0.5)"}
 """By which verdicts become a conclusion."""
@@ -201,17 +207,6 @@ def share(text: str) -> float:
     return number
 
 
-def clock_interval(text: str) -> str:
-    """Return an interval of the clock as it is written."""
-    from jaxbound.recordings.clockintervals import seconds_of
-
-    try:
-        seconds_of(text)
-    except ValueError as e:
-        raise ArgumentTypeError(str(e).removeprefix("every ")) from None
-    return text
-
-
-READERS: dict[str, Callable[[str], object]] = {"every": clock_interval, "min_coverage": share}
+READERS: dict[str, Callable[[str], object]] = {"min_coverage": share}
 """Of the options that several commands share."""
 DEFAULTS: dict[str, object] = {"min_coverage": 0.5}

@@ -40,6 +40,11 @@ class OddCells(NamedTuple):
                 chosen.append((k, word))
         return OddCells(np.array([k for k, _ in chosen], np.int64), [word for _, word in chosen])
 
+    def without(self, missing: Sequence[str]) -> "OddCells":
+        """Return those that hold none of some words."""
+        kept = [k for k, word in enumerate(self.words) if word not in missing]
+        return OddCells(self.rows[kept], [self.words[k] for k in kept])
+
 
 Odd = Mapping[str, OddCells]
 """{column: its cells that are no numbers}."""

@@ -68,25 +68,22 @@ def concluded(
     """Return the Summary of a test, with all that is to be said of it.
 
     Args:
-        res, alarms, sizes: as for `ending_hints`. stated: the model as its file states it, with the windows
-            that its bounds were found for. label, min_coverage: see `summarised`.
+        res, alarms: as for `sizes_seen`, which returns sizes. stated: the model as its file states it, with
+            the windows that its bounds were found for. label, min_coverage: see `summarised`.
     """
     reaches = outgrown(stated, res.relations)
-    hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, alarms, sizes)))
+    hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, alarms)))
     return summarised(res, alarms, label, min_coverage, hints, sizes, bool(reaches))
 
 
-def ending_hints(
-    res: Result | Digest, alarms: Sequence[Alarm], sizes: Mapping[str, float] | None = None
-) -> list[str]:
+def ending_hints(res: Result | Digest, alarms: Sequence[Alarm]) -> list[str]:
     """Return a sentence on alarms after which CONSISTENT windows do not mean that the fault is repaired.
 
     Args:
-        res, alarms: as for `sizes_seen`, which returns sizes; None: not asked for.
+        res, alarms: as for `sizes_seen`.
     """
     counts = evidence(res, alarms).ended or {}
-    over = endings_said(counts, sum(counts.values()))
-    return [f"{sentence}; {sizes_text(res, sizes)}{_longer(res, sizes)}" for sentence in over]
+    return endings_said(counts, sum(counts.values()))
 
 
 def _longer(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
@@ -146,4 +143,4 @@ def sizes_text(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
     said = f"{these} are sure to show a constant error that lasts from {shown} on{never}"
     if untold:
         said += f"; {listed(untold)} may show smaller ones: jaxbound info tells from which size on"
-    return said
+    return said + _longer(res, sizes)

@@ -20,6 +20,7 @@ from jaxbound.sets.floats.equations import bind, body, by_key, dtype_of, inexact
 from jaxbound.sets.inclusion.lifted import enclose, settled
 from jaxbound.sets.inclusion.predicates import least, most, whole
 from jaxbound.sets.inclusion.primitives import DEFINED, MOVED, RISING, RULES, STEADY, WHOLE
+from jaxbound.sets.inclusion.tables import INTERP, is_interp
 from jaxbound.sets.inclusion.undefined import OBSERVED, either, observes, possible
 from jaxbound.sets.intervals.interval import Interval, computed
 
@@ -146,7 +147,10 @@ def _constant(x):
 def _apply(eqn, values, absent):
     """Return (outs, absent, continuous) of one equation."""
     name, inner = eqn.primitive.name, body(eqn)
-    if inner is not None:
+    is_table = is_interp(eqn) and any(isinstance(v, Interval) for v in values)
+    if is_table:
+        name = INTERP
+    elif inner is not None:
         return _follow(inner.jaxpr, inner.consts, values, absent)
     if name in CONTROL:
         return CONTROL[name](values, absent, eqn.params)

@@ -10,6 +10,7 @@ from fractions import Fraction
 from functools import partial
 from itertools import combinations
 from math import comb, prod
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +22,7 @@ from jaxbound.random.keys import key_of
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.zonotopes import kernels
-from jaxbound.sets.zonotopes.constrained import AnySet, parts
+from jaxbound.sets.zonotopes.constrained import AnySet, exact, parts
 from jaxbound.sets.zonotopes.facets import exact_strips, exactly
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
@@ -162,6 +163,7 @@ def volume(Z: Zonotope) -> float:
     """
     if is_traced(Z):
         raise TypeError("a volume is worked out from concrete numbers: ask outside jit, grad and vmap")
+    Z = cast(Zonotope, exact(Z))
     refuse_infinite(center=Z.center, generators=Z.generators)
     n, q = Z.generators.shape
     if comb(q, n) > DETERMINANTS:
@@ -245,6 +247,7 @@ def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:
         >>> minkowski_difference(sets.zonotope([0.0], [[3.0]]), sets.zonotope([0.0], [[1.0]])).generators
         Array([[2.]], dtype=...)
     """
+    Z, Y = (cast(Zonotope, exact(S)) for S in (Z, Y))
     (n,), (m,) = Z.center.shape, Y.center.shape
     if n != m:
         raise ValueError(f"the sets must have one dimension: they have {n} and {m} coordinates")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import starmap
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -88,14 +89,14 @@ class Marks:
     scores: tuple[Score, ...]
     curve: np.ndarray
 
-    def at(self, factor: float, rule: Rule | None = None) -> Score:
+    def at(self, factor: float, rule: tuple[int, int] | None = None) -> Score:
         """Return the Score at a factor by a rule, the first one by default.
 
         Raises:
             ValueError: a factor or a rule that was not asked for.
         """
         for score in self.scores:
-            if score.factor == factor and rule in (None, (score.k, score.n)):
+            if score.factor == factor and rule in (None, score.rule):
                 return score
         raise ValueError(f"there is no score of {self.name} at factor {factor:g} by the rule {rule}")
 
@@ -150,7 +151,7 @@ def assess(
     faulty: Sequence[Any] = (),
     labels: Sequence[ArrayLike | Sequence[str] | None] | None = None,
     *,
-    rules: Sequence[Rule] = ((1, 1),),
+    rules: Sequence[tuple[int, int]] = ((1, 1),),
     factors: Sequence[float] = FACTORS,
     method: str = "joint",
     training: Sequence[Any] | None = None,
@@ -197,7 +198,7 @@ def assess(
     relations = relations_of(
         relations, "assess", "assess(parity_relations(model), healthy, faulty)", watched=monitoring.monitor
     )
-    wanted, report = _checked(rules, factors), reporter(progress, "assess")
+    by, wanted, report = _checked_rules(rules), _factors(factors), reporter(progress, "assess")
     healthy = listed_argument("healthy", healthy, "[(u, y)]")
     faulty = listed_argument("faulty", faulty, "[(u, y)]")
     recordings = [_recording(relations, one) for one in (*healthy, *faulty)]
@@ -215,27 +216,32 @@ def assess(
         report(0.6 * (number + 1) / len(recordings))
     _refuse_untested(judged, relations)
     trials = [one.trial for one in judged]
-    marks = _marks(monitor, [one.verdicts for one in judged], trials, rules, wanted, relations.model.dt)
+    marks = _marks(monitor, [one.verdicts for one in judged], trials, by, wanted, relations.model.dt)
     beside = []
     for number, peer in enumerate(peers):
         flags = [peer.flags(one.recording) for one in judged]
-        beside.append(_marks(peer, flags, trials, rules, wanted, relations.model.dt))
+        beside.append(_marks(peer, flags, trials, by, wanted, relations.model.dt))
         report(0.6 + 0.3 * (number + 1) / len(peers))
     cases = []
     titles = names or [f"faulty recording {number + 1}" for number in range(len(faulty))]
     for title, one in zip(titles, judged[len(healthy) :], strict=True):
-        cases.append(_case(title, one, rules[0], relations.model.dt))
+        cases.append(_case(title, one, by[0], relations.model.dt))
     report(1.0)
-    return Assessment(marks, tuple(cases), tuple(rules), tuple(beside), relations)
+    return Assessment(marks, tuple(cases), by, tuple(beside), relations)
 
 
-def _checked(rules: Sequence[Rule], factors: Sequence[float]) -> list[float]:
-    """Return the factors in order, 1 among them; refuse what is no rule and no factor."""
-    factors = listed_argument("factors", factors, "[0.5, 2]")
+def _checked_rules(rules: Sequence[tuple[int, int]]) -> tuple[Rule, ...]:
+    """Return the rules by name; refuse what is none."""
     if not listed_argument("rules", rules, "[(1, 1), (3, 5)]"):
         raise ValueError("there is no alarm rule: give at least one, like (1, 1)")
-    for k, n in rules:
-        rule_of((k, n))
+    for rule in rules:
+        rule_of(rule)
+    return tuple(starmap(Rule, rules))
+
+
+def _factors(factors: Sequence[float]) -> list[float]:
+    """Return the factors in order, 1 among them; refuse what is none."""
+    factors = listed_argument("factors", factors, "[0.5, 2]")
     wanted = sorted({1.0, *map(float, factors)})
     if not (np.isfinite(wanted).all() and wanted[0] > 0):
         raise ValueError(f"factors on bounds are > 0 and finite: {', '.join(f'{f:g}' for f in factors)}")
@@ -347,7 +353,7 @@ def _namings(result: Result, episodes: Sequence[Episode], rule: Rule) -> tuple[N
     """Return a Naming of each fault that has an alarm whose worst window is explained."""
     if not episodes:
         return ()
-    alarms = result.alarms(*rule)
+    alarms = result.alarms(rule.k, rule.n)
     found = []
     for episode in episodes:
         for alarm in alarms:

@@ -8,9 +8,17 @@ import numpy as np
 from jaxbound.diagnosis.watch import often
 from jaxbound.studies.assessment.truth import FAULTY, HEALTHY, Episode
 
-Rule = tuple[int, int]
-"""(k, n): an alarm is on while k of the last n windows are FAULT."""
 DAY = 86400.0
+
+
+class Rule(NamedTuple):
+    """An alarm is on while k of the last n windows are FAULT."""
+
+    k: int
+    n: int
+
+    def __str__(self) -> str:
+        return f"{self.k}/{self.n}"
 
 
 class Trial(NamedTuple):
@@ -28,7 +36,7 @@ class Score(NamedTuple):
     """Counts over recordings.
 
     Fields:
-        factor: on the bounds, or on the threshold of another detector. k, n: the alarm rule.
+        factor: on the bounds, or on the threshold of another detector. rule: of alarms.
         healthy: windows without a faulty sample; false: those of them in alarm; alarms: that began there.
         faulty: windows that end at a faulty sample; caught: those of them in alarm.
         episodes: stretches of one fault; delays: of each that is seen, samples from its onset to the alarm.
@@ -36,8 +44,7 @@ class Score(NamedTuple):
     """
 
     factor: float
-    k: int
-    n: int
+    rule: Rule
     healthy: int
     false: int
     alarms: int
@@ -85,15 +92,11 @@ def _share(part: float, whole: float) -> float:
     return part / whole
 
 
-def in_alarm(fault: np.ndarray, k: int, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return ((T,) bool, whether an alarm is on; the sample at which each begins)."""
-    on = often(np.append(np.zeros(n, bool), fault), k, n)
-    return on, np.flatnonzero(on & ~np.append(False, on[:-1]))
-
-
 def counted(fault: np.ndarray, trial: Trial, factor: float, rule: Rule, dt: float | None) -> Score:
     """Return the Score of one recording. fault: (T,) bool, the windows that a detector calls faulty."""
-    on, begin = in_alarm(fault & trial.tested, *rule)
+    # no window before the first one is FAULT
+    on = often(np.append(np.zeros(rule.n, bool), fault & trial.tested), rule.k, rule.n)
+    begin = np.flatnonzero(on & ~np.append(False, on[:-1]))
     healthy, faulty = trial.tested & (trial.kinds == HEALTHY), trial.tested & (trial.kinds == FAULTY)
     delays = []
     for episode in trial.episodes:
@@ -102,7 +105,7 @@ def counted(fault: np.ndarray, trial: Trial, factor: float, rule: Rule, dt: floa
             delays.append(int(seen[0]))
     return Score(
         factor,
-        *rule,
+        rule,
         healthy=int(np.count_nonzero(healthy)),
         false=int(np.count_nonzero(healthy & on)),
         alarms=int(np.count_nonzero(trial.kinds[begin] == HEALTHY)),

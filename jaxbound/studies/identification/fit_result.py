@@ -20,7 +20,7 @@ class PartLeftOut(NamedTuple):
     """A recording, or a block of one, that was left out of a fit.
 
     Fields: windows: how many it has. factor: on the smallest bounds, which they need under a fit to all
-    others; nan where `why` says why there is none.
+    others, of several tests that which needs most; nan where `why` says why there is none.
     """
 
     windows: int
@@ -55,9 +55,9 @@ class FitCheck:
 
     Fields:
         method: how the coefficients were found, order, delay: of the model, see `fit`.
-        factor, safety: the factors on the smallest bounds: as the recordings ask for, each left out in turn,
-            and on top. smallest: those bounds, {output: bound}. smallest_mean: those of the mean of `average`
-            errors in a row, {} where it was not asked for.
+        factor, safety: the factors on the smallest bounds, of all tests: as the recordings ask for, each left
+            out in turn, see `factor_of`, and on top. smallest: those bounds, {output: bound}. smallest_mean:
+            those of the mean of `average` errors in a row, {} where it was not asked for.
         left_out: a `PartLeftOut` for each recording, or each block of a single one.
         held_out: all of these together: {"windows", "fault", "growth"}: how many windows, the share that
             would be FAULT with `safety` alone, and the factor by which these bounds would have had to be
@@ -120,6 +120,7 @@ class FitCheck:
             smallest_mean=self.smallest_mean,
             jump=self.jump,
             steady=self.steady,
+            left_out=tuple(one.factor for one in self.left_out),
             ramp={name: max(grown, default=1.0) * size for name, size in test.ramp.items()},
         )
 

@@ -18,7 +18,9 @@ from typing import overload
 
 from jaxbound.models.arguments import table_argument, taking_fields
 from jaxbound.models.conversion import ModelLike
+from jaxbound.recordings.expressions import with_angles
 from jaxbound.recordings.means import with_every
+from jaxbound.recordings.recordingformat import Stated, with_format
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification.adding import MOST, Widened, widen
@@ -43,6 +45,9 @@ from jaxbound.studies.identification.widest import widest_of
 from jaxbound.studies.identification.window_tests import WINDOWS
 from jaxbound.text.progress import in_part, reporter
 
+SHOWN = {"latch": True}
+"""The rule of alarms of a fitted model: windows forget the onset of a fault that lasts, alarms do not."""
+
 
 @overload
 def fit(
@@ -56,6 +61,7 @@ def fit(
     name: str = ...,
     units: Mapping[str, str] | None = ...,
     columns: Mapping[str, str] | None = ...,
+    recording: Stated = ...,
     progress: Callable[[float], object] | None = ...,
     add: None = ...,
     most: None = ...,
@@ -85,6 +91,7 @@ def fit(
     name: str = "fitted",
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
+    recording: Stated = None,
     progress: Callable[[float], object] | None = None,
     add: ModelLike | str | PathLike[str] | None = None,
     most: float | None = None,
@@ -94,7 +101,8 @@ def fit(
 
     The smallest bounds are those under which every window of the recordings is consistent, in the ratio of
     the outputs' residuals: `tune` moves each by its own. Each recording in turn is then judged by a fit to
-    all others: by the largest factor that one of them asks for the bounds are wider, and by `safety` on top.
+    all others: by the geometric mean of the factors that they ask for, each of the test that asks most, the
+    bounds of all tests are wider, somewhat more for few recordings, and by `safety` on top.
     They are verified: `detect` finds every window CONSISTENT, or an observer no FAULT. Of n recordings that
     are like the next one, one in n + 1 may still ask for more.
 
@@ -107,8 +115,9 @@ def fit(
         inputs, outputs: names; needed with tables and paths. dt: sampling period in s; None: what the times
             of tables, paths or a Recording say, else 1. every: an interval of the clock, like "15min":
             samples are the means of what was recorded within each, and the model keeps it.
-        name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called
-            with the share of the work done.
+        name, units, columns: as of a LinearSystem; tables are read by these columns too. Of a column
+            "= angle(wind)" the signal becomes two, its sine and its cosine. recording: how files are written,
+            see `RecordingFormat`. progress: called with the share of the work done.
         add: a model, or the path of its file, that is widened by the recordings instead: each of its tests
             just enough to hold them, proved; most: more than so many times, by default 3, is refused, for a
             fault would be learnt.
@@ -131,15 +140,8 @@ def fit(
         (True, True)
     """
     if add is not None:
-        new = {
-            "recipe": recipe,
-            "inputs": inputs,
-            "outputs": outputs,
-            "dt": dt,
-            "every": every,
-            "units": units,
-        }
-        for field, value in {**new, "columns": columns, **fields}.items():
+        new = {"recipe": recipe, "inputs": inputs, "outputs": outputs, "recording": recording, "dt": dt}
+        for field, value in {**new, "every": every, "units": units, "columns": columns, **fields}.items():
             if value is not None:
                 raise ValueError(f"add widens a model as it is: leave {field} out")
         return widen(add, recordings, MOST if most is None else most, progress)
@@ -148,8 +150,14 @@ def fit(
     plan = recipe_of(recipe, fields)
     columns = table_argument("columns", columns, "{'Q': 'Heater 1'}")
     units = table_argument("units", units, "{'T': 'degC'}")
-    columns, dt = with_every(columns, dt, every)
-    begin_with = names_of("inputs", inputs)
+    columns, dt = with_every(with_format(columns, recording), dt, every)
+    inputs = begin_with = names_of("inputs", inputs)
+    if begin_with is not None:
+        begin_with, columns = with_angles(begin_with, columns)
+        inputs = begin_with
+    outputs = names_of("outputs", outputs)
+    if outputs is not None:
+        outputs, columns = with_angles(outputs, columns)
     pool: dict[str, str] = {}
     if plan.signals is not None:
         if not begin_with:
@@ -185,9 +193,10 @@ def _fitted(
     if can_choose or plan.test is not None:
         model = fitted_bank(training, plan, sentences, report)
     else:
-        model = fitted(training, plan, None, sentences, report)
+        model = fitted(training, plan, sentences, report)
     widest = widest_of(training, model.check.used, model.horizon)
-    return Fitted(model, dataclasses.replace(model.check, signals=signals, recipe=plan, widest=widest))
+    check = dataclasses.replace(model.check, signals=signals, recipe=plan, widest=widest)
+    return Fitted(model.replace(alarms=SHOWN), check)
 
 
 def _with_signals(

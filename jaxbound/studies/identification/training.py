@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import agreed, with_format
 from jaxbound.studies.identification.records import Names, Records, common_period, read_each
 from jaxbound.studies.identification.regression import Scales, scales_of
 
@@ -43,6 +44,7 @@ class Training:
         every, records = read_each(recordings, inputs, outputs, columns, dt), []
         for one in every:
             records.append((np.asarray(one.u, np.float64), np.asarray(one.y, np.float64), one.starts))
+        columns = with_format(columns, agreed(recording.taken for recording in every))
         names = every[0].inputs, every[0].outputs
         return cls(every, *names, common_period(dt, every), records, columns)
 
@@ -65,6 +67,11 @@ class Training:
         """Return the recordings with the times of their samples."""
         return read_each(self.recordings, self.inputs, self.outputs, self.columns, None)
 
+    @property
+    def days(self) -> int:
+        """How many recordings there are."""
+        return len(self.records)
+
     @cached_property
     def scales(self) -> Scales:
         """The middle and the spread of each signal."""
@@ -75,6 +82,11 @@ class Training:
         """How far each output moves, between its lowest and its highest sample."""
         y = np.concatenate([y for _, y, _ in self.records])
         return tuple(np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
+
+    @property
+    def span_of(self) -> dict[str, float]:
+        """{output: how far it moves}."""
+        return dict(zip(self.outputs, map(float, self.spans), strict=True))
 
     @cached_property
     def ranges(self) -> dict[str, tuple[float, float]]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.studies.assessment.scores import Trial, counted
+from jaxbound.studies.assessment.scores import Rule, Trial, counted
 from jaxbound.studies.assessment.truth import ASIDE, FAULTY, HEALTHY, Episode, truth_of
 
 NOISE, DECAY = 0.1, 0.5
@@ -88,17 +88,17 @@ def test_alarms_are_counted_by_their_rule():
     fault = np.array([1, 0, 1, 1, 0, 0, 0, 1, 1, 1], bool)
     kinds = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1])
     trial = Trial(np.ones(10, bool), kinds, (Episode(6, 10, ""),))
-    one = counted(fault, trial, 1.0, (1, 1), 8640.0)
+    one = counted(fault, trial, 1.0, Rule(1, 1), 8640.0)
     assert (one.false, one.alarms, one.caught, one.delays) == (3, 2, 3, (1,))
     assert one.alarms_a_day == pytest.approx(2 / 0.6)  # 6 healthy samples of a tenth of a day each
-    two = counted(fault, trial, 1.0, (2, 3), None)
+    two = counted(fault, trial, 1.0, Rule(2, 3), None)
     assert (two.false, two.alarms, two.caught, two.delays) == (3, 1, 2, (2,))
     assert np.isnan(two.alarms_a_day)
 
 
 def test_the_delay_of_a_fault_that_is_not_seen_is_infinite():
     trial = Trial(np.ones(4, bool), np.ones(4, int), (Episode(0, 4, ""),))
-    score = counted(np.zeros(4, bool), trial, 1.0, (1, 1), 1.0)
+    score = counted(np.zeros(4, bool), trial, 1.0, Rule(1, 1), 1.0)
     assert (score.delay, score.missed_share) == (np.inf, 1.0)
 
 
