@@ -177,16 +177,22 @@ def widen(
     for one in recordings if isinstance(recordings, list) else [recordings]:
         parts: Any = one if isinstance(one, tuple) and is_pair(one) else (one,)
         days.append(recorded(bank.plant, *parts).finite())
+    grown = _grown(bank, days, float(most))
+    report(0.5)
     records = [(day.u[:, : model.m], day.y, day.starts) for day in days]
-    seen, ranges, grown = model, dict(_ranges(model, records)), {}
-    if ranges:  # their windows lie inside now, where bounds may be narrower
-        seen = model.replace(ranges={**model.ranges, **{name: after for name, (_, after) in ranges.items()}})
-    judging = monitor(seen, tests)
-    for number, name in enumerate(bank.names):
-        grown[name] = _grown(judging, number, days, float(most))
-        report(0.9 * (number + 1) / bank.count)
-    wide = _widened(seen, grown)
-    if wide is not model:
+    ranges = dict(_ranges(model, records))
+    if ranges:
+        moved = {name: after for name, (_, after) in ranges.items()}
+        region = model.replace(ranges={**model.ranges, **moved})
+        inside = monitor(region, tests)
+        # outside of training bounds are wider: where these alone hold a recording, it stays outside
+        if any(one.factor > 1 for one in grown.values()) or _holds(inside, days):
+            model, grown = region, _grown(inside, days, float(most))
+        else:
+            ranges = {}
+    report(0.9)
+    wide = _widened(model, grown)
+    if wide is not model or ranges:
         source = listed((place(days, number) for number in range(len(days))), str)
         origin = f"{model.provenance.get('noise', 'not stated')}; widened by {source}"
         wide = wide.replace(provenance={**model.provenance, "noise": origin})
@@ -220,7 +226,30 @@ def _tests_of(model: object) -> StatedTests | None:
     return [{"name": f"observer {method.name}", **observer_fields(method)}]
 
 
-def _grown(bank: MonitorBank, number: int, days: Sequence[Recording], most: float) -> Grown:
+def _seen(bank: MonitorBank, number: int, recording: Recording) -> Recording:
+    """Return a recording as a test sees it: where its condition is not known, it has nothing to explain."""
+    modes = bank.modes_of(recording.u)
+    return bank.seen_by(number, recording, np.where(modes == UNKNOWN, NO, modes))
+
+
+def _holds(bank: MonitorBank, days: Sequence[Recording]) -> bool:
+    """Return whether no test of a monitor asks for wider bounds."""
+    for number, watch in enumerate(bank.watches):
+        if any(_need(watch.relations, _seen(bank, number, day))[0] for day in days):
+            return False
+    return True
+
+
+def _grown(bank: MonitorBank, days: Sequence[Recording], most: float) -> dict[str, Grown]:
+    """Return the widening of each test under which it holds recordings, by its name.
+
+    Raises:
+        ValueError: as `_grown_test`.
+    """
+    return {name: _grown_test(bank, number, days, most) for number, name in enumerate(bank.names)}
+
+
+def _grown_test(bank: MonitorBank, number: int, days: Sequence[Recording], most: float) -> Grown:
     """Return the widening of one test under which it holds recordings.
 
     Raises:
@@ -228,8 +257,7 @@ def _grown(bank: MonitorBank, number: int, days: Sequence[Recording], most: floa
     """
     test, widest = bank.plant.tests[number], Grown()
     for day, recording in enumerate(days):
-        modes = bank.modes_of(recording.u)
-        own = bank.seen_by(number, recording, np.where(modes == UNKNOWN, NO, modes))
+        own = _seen(bank, number, recording)
         for _ in range(ATTEMPTS):
             relations = relations_of_test(bank.plant, _times(test, widest.factor))
             need, sample = _need(relations, own)
