@@ -89,6 +89,9 @@ class PipeText(Stream):
     def _resume_from(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
         self._understand([line.encode("latin-1") for line in memory["head"]])
+        reader = self._known_reader
+        reader.layout = replace(reader.layout, skip=0)
+        reader.resume(memory.get("reader", {}))
         self.rest = memory["tail"].encode("latin-1")
         if self.rest == b"\r":
             self.rest, self.returns = b"", 1
@@ -120,6 +123,7 @@ class PipeText(Stream):
             "unit_known": self.unit_known,
             "texts": self.texts,
             "broken": broken,
+            "reader": self.reader.memory(),
         }
 
     def ended(self) -> None:
