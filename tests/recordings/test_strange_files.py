@@ -380,7 +380,13 @@ def test_fit_keeps_the_order_of_day_and_month_for_a_day_that_does_not_show_it(tm
 
 
 def test_a_stream_below_many_lines_goes_on_without_losing_any(tmp_path):
-    lines = ["Logger 7", "Serial 3", "time;heater;temp", "s;%;degC", *(f"{60 * k};1;{k},5" for k in range(60))]
+    lines = [
+        "Logger 7",
+        "Serial 3",
+        "time;heater;temp",
+        "s;%;degC",
+        *(f"{60 * k};1;{k},5" for k in range(60)),
+    ]
     first, rest = "\n".join([*lines[:24], ""]), "\n".join([*lines[24:], ""])
     pipe = PipeText(THREE, print)
     begun = pipe.take(first.encode())
