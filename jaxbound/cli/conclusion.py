@@ -12,6 +12,7 @@ from jaxbound.cli.evaluation import Evaluation
 from jaxbound.cli.terminal import Conclusion, Row
 from jaxbound.cli.window import WINDOWS, DetectRun
 from jaxbound.diagnosis.observed import shown_name
+from jaxbound.diagnosis.watch import LASTING
 from jaxbound.reports.monitored import ORDER
 from jaxbound.runs.summary import OUTSIDE, Evidence, OfTest, Summary, Window
 from jaxbound.sets.floats.status import Status
@@ -28,10 +29,13 @@ COLOUR = {
 
 @dataclass(frozen=True)
 class Detected(Conclusion):
-    """The conclusion of a run. Fields: evaluation: of its recording. run: what was asked for."""
+    """The conclusion of a run. Fields: evaluation: of its recording. run: what was asked for. replaces:
+    whether another report was there.
+    """
 
     evaluation: Evaluation
     run: DetectRun
+    replaces: bool = False
 
     @property
     def headline(self) -> str:
@@ -57,7 +61,8 @@ class Detected(Conclusion):
         if explain:
             yield "proof" if summary.verdict == "fault" else "why", f"{explain}{evidence.at}"
         yield "seconds", ", ".join(f"{stage} {s:.1f}" for stage, s in self.evaluation.seconds.items())
-        yield "report", str(out / "report.html")
+        former = ", in place of the one that was there" * self.replaces
+        yield "report", f"{out / 'report.html'}{former}"
 
     def plain(self) -> object:
         """Return the summary, with the files and the seconds of each stage."""
@@ -66,10 +71,10 @@ class Detected(Conclusion):
         return summary.plain(data=str(self.run.data), seconds=seconds, out=str(self.run.out))
 
 
-def conclude(evaluation: Evaluation, run: DetectRun) -> int:
-    """Print the conclusion of an evaluation; return the exit code."""
+def conclude(evaluation: Evaluation, run: DetectRun, replaces: bool = False) -> int:
+    """Print the conclusion of an evaluation; return the exit code. replaces: see `Detected`."""
     summary = evaluation.summary
-    Detected(evaluation, run, hints=summary.hints, style=COLOUR[summary.verdict]).show(run.json)
+    Detected(evaluation, run, replaces, hints=summary.hints, style=COLOUR[summary.verdict]).show(run.json)
     return summary.exit_code
 
 
@@ -105,8 +110,12 @@ def _alarms_row(summary: Summary, evidence: Evidence, explain: str) -> tuple[str
     first = summary.first_alarm
     text = f"{evidence.alarms}, the first at {first}"
     if explain and TIME.fullmatch(first):
+        # the shell splits at a space: 5 s is typed 5s
         at = f"{first.removesuffix(' s')}s" if first.endswith(" s") else first
         text = f"{text}: {explain}{shlex.quote(at)}"
+    lasting = (evidence.ended or {}).get(LASTING, 0)
+    if lasting:
+        text = f"{text}; {lasting} {LASTING}"
     return "alarms", text
 
 

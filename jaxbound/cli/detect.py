@@ -118,8 +118,9 @@ def run(args: argparse.Namespace) -> int:
     if whole.part is not None:
         return judge_share(whole, whole.part)
     in_parts = kind.parts and ask.method != VALIDATION
+    replaces = (whole.out / "report.html").exists()
     evaluation = _evaluate_parts(whole) if in_parts else _evaluate_whole(whole)
-    return conclude(evaluation, whole)
+    return conclude(evaluation, whole, replaces)
 
 
 def _run_live(args: argparse.Namespace) -> int:

@@ -31,7 +31,7 @@ from jaxbound.diagnosis.hints import bound_hints, device_hints, outgrown, unfit_
 from jaxbound.diagnosis.severity import fitted
 from jaxbound.files.locks import refuse_link
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.columns import moments
+from jaxbound.recordings.columns import Words, header_line, moments
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.hints import missing_sentences
 from jaxbound.recordings.live import LiveSource
@@ -290,7 +290,7 @@ class _Judging:
 
     def to_the_end(self, chunks: Iterable[Any], min_coverage: float) -> Summary:
         """Judge everything that comes; return the Summary."""
-        self.judge.compile()
+        self.lines.begin(self.judge.compile())
         if self.resumed:
             behind = ""
             if self.tally.last is not None:
@@ -372,13 +372,16 @@ class _PrintedLines:
 
     def __init__(self, as_json: bool, alone: bool, alarms: LiveAlarms, tells: bool) -> None:
         self.json, self.alone, self.alarms, self.tells = as_json, alone, alarms, tells
-        self.text = RowText(alarms.region is not None, bool(alarms.relations.parts))
+        self.text = RowText()
         self.notices: list[Notice] = []
-        self.header = b""
-        if not as_json:
-            self.header = f"{','.join(self.text.names)}\n".encode()
         self.texts = False
-        self.fresh = b""
+        self.header = self.fresh = b""
+
+    def begin(self, like: Verdicts) -> None:
+        """Take the columns of the verdicts that come."""
+        self.text.begin(like)
+        if not self.json:
+            self.header = header_line(self.text.names[:-1])  # suspect is not printed
 
     def add(self, piece: Recording, verdicts: Verdicts) -> None:
         """Take the rows of the next verdicts."""
@@ -449,16 +452,15 @@ class _PrintedLines:
         if not self.tells:  # else a line of its own says it
             ended = {number: notice.get("ended") for number, notice in self.notices}
         for number, cells in enumerate(csv.reader(io.StringIO(rows.decode()))):
-            row = dict(zip(self.text.names, cells, strict=False))
+            row = dict(zip(self.text.names, cells, strict=True))
             when, margin = row["time"], _number(row["margin"])
             time = when if self.texts else _number(when)
             line = {"time": time, "status": row["status"], "margin": margin, "ended": ended.get(number)}
-            if "outside" in row:
-                line["outside"] = _number(row["outside"])
-                line["outside_by"] = row["outside_by"] or None
-                line["outside_at"] = _number(row["outside_at"])
-            if "test" in row:
-                line["test"] = row["test"] or None
+            for name in self.text.names[3:-1]:
+                if isinstance(self.text.columns[name], Words):
+                    line[name] = row[name] or None
+                else:
+                    line[name] = _number(row[name])
             lines.append(json.dumps(line) + "\n")
         return "".join(lines).encode()
 

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from jaxbound.diagnosis.acknowledged import Acknowledged, Times
-from jaxbound.models.statedalarms import stated_alarms
+from jaxbound.models.statedalarms import PLAIN, stated_alarms
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.signals import SignalModel
@@ -40,7 +40,9 @@ class AlarmRule:
         merge: alarms of one suspect at most so far apart are one alarm: samples, or an interval of the clock
             like "10min".
         latch: an alarm stays on until an opposite jump of its suspect speaks for a repair, or until it is
-            acknowledged, else to the end of the recording.
+            acknowledged, else to the end of the recording. Any FAULT windows may show the jump, whatever
+            the rule asks of those that an alarm begins with: of two rules that differ in k, n, merge, least
+            or latch, no sample is in alarm by the stricter one alone.
         least: FAULT windows that an error of one output below this size explains do not count: one number, or
             {output: size}, in units. It is proved of every window that counts, by the test itself under a
             noise bound of that output which is wider by the size.
@@ -52,8 +54,8 @@ class AlarmRule:
             again as samples come (what follows a comma is the operator's own). FAULT behind it makes a new
             alarm, for which k of n are counted anew. Of a rule with latch.
 
-    Suspects are worked out in exact rationals at the first and the last FAULT window of an alarm, however
-    long it is. Of windows that do not tell them all alarms are of one component. Of a monitor suspects and
+    Suspects are worked out in exact rationals, at the first and the last of FAULT windows in a row, and at
+    the worst. Of windows that do not tell them all alarms are of one component. Of a monitor suspects and
     sizes are those of the test that speaks: an observer names no suspect, which is one component more, and
     proves no size, so that with `least` its FAULT makes no alarm.
 
@@ -170,7 +172,8 @@ def stated_rule(said: Stated, model: LinearSystem, file: str | PathLike[str]) ->
     """Return a rule as it is, or that of a model with other fields, if any are said.
 
     Args:
-        said: see `Stated`. file: of the model, beside which its file of acknowledgements is.
+        said: see `Stated`; "plain" in place of k/n: nothing that the model states. file: of the model,
+            beside which its file of acknowledgements is.
 
     Raises:
         ValueError: fields that make no rule.
@@ -180,8 +183,12 @@ def stated_rule(said: Stated, model: LinearSystem, file: str | PathLike[str]) ->
     table = dict(model.alarms)
     if "acknowledged" in table:
         table["acknowledged"] = Path(file).parent / table["acknowledged"]
-    table |= stated_alarms(said, "--alarm")
-    k, _, n = table.pop("rule", "1/1").partition("/")
+    told = stated_alarms(said, "--alarm")
+    if told.get("rule") == PLAIN:
+        table = {}
+    table |= told
+    rule = table.pop("rule", PLAIN).replace(PLAIN, "1/1")
+    k, _, n = rule.partition("/")
     return AlarmRule(int(k), int(n), **table)
 
 

@@ -46,13 +46,14 @@ class Alarm:
     margin (< 0), reached at sample `worst`; recording: index of the recording in a batch, () for a single
     one; result: what the alarm was found in; outside: how many of its FAULT windows lie outside the region of
     training, None where there is none; outside_by: the farthest of them in words; suspects: the signals that
-    alone could be wrong in its first window, the most plausible first, where the rule names them; size:
-    errors of the first of up to this size, another at each sample, explain this window, no smaller ones, in
-    its unit, NaN where it is none of a sensor (`diagnose` has the sizes of a constant one);
-    cause: in this window, too, the most plausible of the faults that the model names, with its sizes;
-    `diagnose` looks at more windows of the alarm; test: of a monitor the name of the test that speaks at
-    sample `worst`, else ""; ended: why it is over, of
-    which no verdict is a proof, one of
+    alone could be wrong in the window in which its FAULT began, the most plausible first, where the rule
+    names them; size:
+    errors of the first of up to this size, another at each sample, explain the window at `worst`, no smaller
+    ones, in its unit, NaN where it is none of a sensor (`diagnose` has the sizes of a constant one); cause:
+    in this window, too, the most plausible of the faults that the model names, with its sizes; both of the
+    first window where this signal does not explain the worst one alone. `diagnose` looks at more windows of
+    the alarm; test: of a monitor the name of the test that speaks at sample `worst`, else ""; ended: why it
+    is over, of which no verdict is a proof, one of
 
     - "still on at the last sample", "no data after it";
     - "its onset may have left the window: repaired or lasting": every FAULT window reaches back to the first

@@ -8,9 +8,10 @@ one that is named. That is no proof; it speaks for a repair, and changes no verd
 """
 
 import math
+from collections.abc import Sequence
 from fractions import Fraction
 from itertools import accumulate
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -36,6 +37,12 @@ class Suspect(NamedTuple):
     size: float = math.nan
     jump: int = 0
     cause: str = ""
+
+    @classmethod
+    def of(cls, memory: Sequence[Any]) -> "Suspect":
+        """Return the suspects that a memory, as JSON holds it, has."""
+        names, *others = memory
+        return cls(tuple(names), *others)
 
     @property
     def first(self) -> str:
@@ -81,13 +88,16 @@ def nameless(relations: Relations) -> str:
     return ""
 
 
-def suspect_of_window(relations: Relations, u: np.ndarray, y: np.ndarray) -> Suspect:
-    """Return the suspects of the FAULT window that samples u (s+1, m), y (s+1, p) are."""
+def suspect_of_window(relations: Relations, u: np.ndarray, y: np.ndarray, first: str = "") -> Suspect:
+    """Return the suspects of the FAULT window that samples u (s+1, m), y (s+1, p) are. first: comes first if
+    it is one of them.
+    """
     try:
         certificate = certify(relations, u, y, status=Status.FAULT)
     except NotImplementedError:  # no proof by one relation
         return UNKNOWN
     names, cause = certificate.candidates, _cause(certificate)
+    names = tuple(sorted(names, key=first.__ne__))
     if not names:
         return UNKNOWN._replace(cause=cause)
     errors = certificate.errors

@@ -82,9 +82,10 @@ class Watching:
         """
         by = self._speaking(verdicts)
         fault, missing = verdicts.status == Status.FAULT, verdicts.status == Status.MISSING
+        proved = fault
         if self.severity is not None and fault.any():
             fault = self._counted(fault, by, self.severity)
-        seen = Seen.of(fault, verdicts.margin, missing, verdicts.departure, instants, by)
+        seen = Seen.of(fault, verdicts.margin, missing, verdicts.departure, instants, by, proved)
         return self.watch.add(seen)
 
     def alarms_of(
@@ -100,6 +101,7 @@ class Watching:
                     words = self.region.words(one.by, one.reading)
             if self.names:
                 test = self.name_of(one.test)
+            suspect = self._sized(one)
             alarm = Alarm(
                 one.start,
                 one.end,
@@ -111,13 +113,24 @@ class Watching:
                 ended=one.ended or ending_of(one, self.horizon),
                 outside=outside,
                 outside_by=words,
-                suspects=one.suspect.names,
-                size=one.suspect.size,
+                suspects=suspect.names,
+                size=suspect.size,
                 test=test,
-                cause=one.suspect.cause,
+                cause=suspect.cause,
             )
             alarms.append(alarm)
         return alarms
+
+    def _sized(self, one: Raised) -> Suspect:
+        """Return the suspects of an alarm with size and cause in its worst window, if the first of them alone
+        explains that, too.
+        """
+        if self.watch.blame is None or one.worst == one.run:
+            return one.suspect
+        worst = self._blame(one.worst, one.test, one.suspect.first)
+        if worst.first != one.suspect.first:
+            return one.suspect
+        return one.suspect._replace(size=worst.size, cause=worst.cause)
 
     def name_of(self, test: int) -> str:
         """Return the name of a test of a monitor by its number; "" of none."""
@@ -145,15 +158,17 @@ class Watching:
         counts[first:stop] = severity.reached(u, y, around, by)[before:]
         return counts
 
-    def _blame(self, sample: int, test: int) -> Suspect:
-        """Return the suspects of the window that ends at a sample, of a monitor of the test that speaks."""
+    def _blame(self, sample: int, test: int, first: str = "") -> Suspect:
+        """Return the suspects of the window that ends at a sample, of a monitor of the test that speaks.
+        first: comes first if it alone explains the window.
+        """
         if not self.names:
             u, y = self.samples(sample - self.relations.horizon, sample + 1)
-            return suspect_of_window(self.relations, np.asarray(u), np.asarray(y))
+            return suspect_of_window(self.relations, np.asarray(u), np.asarray(y), first)
         bank = cast(MonitorBank, self.relations)
         relations = bank.watches[test].relations
         if nameless(relations):
             return UNKNOWN
         u, y = (np.asarray(x) for x in self.samples(sample - relations.horizon, sample + 1))
         seen = bank.seen_by(test, Recording(u, y, NOWHERE), bank.modes_of(u))
-        return suspect_of_window(relations, seen.u, seen.y)
+        return suspect_of_window(relations, seen.u, seen.y, first)

@@ -97,6 +97,7 @@ FIELDS: Mapping[str, Mapping[str, ValueKind]] = {
         "horizon": WHOLE,
         "lags": LAGS,
         "left_out": NUMBER,
+        "extrapolation": NUMBER,
         "time": TEXT,
         "where": TEXT,
         "constant_tolerance": TRUTH,
@@ -190,6 +191,7 @@ def _stated(model: LinearSystem) -> dict[str, list[Table]]:
         "horizon": model.horizon,
         "lags": model.lags,
         "left_out": model.left_out,
+        "extrapolation": model.extrapolation,
         "constant_tolerance": model.constant_tolerance or None,
         "states": [(name, model.units.get(name)) for name in model.states],
     }
@@ -215,6 +217,7 @@ def _stated(model: LinearSystem) -> dict[str, list[Table]]:
     tables["disturbances"] = [{"bound": b, "averages": _averages(model, f"w{j}")} for j, b in disturbances]
     tables["uncertainty"] = [dict(vars(parameter)) for parameter in model.uncertainties]
     for table in tables["uncertainty"]:
+        # what is usual is not written: a file shows what somebody stated
         if table["varying"]:
             del table["varying"]
         if table["between"] == (-1, 1):
@@ -271,7 +274,7 @@ def model_arguments(document: Table) -> dict[str, Any]:
     arguments["columns"] = with_format(
         arguments["columns"], checked_table(f"[{TABLE}]", document.get(TABLE, {}))
     )
-    for name in ("name", "lags", "left_out", "constant_tolerance"):
+    for name in ("name", "lags", "left_out", "extrapolation", "constant_tolerance"):
         if name in top:
             arguments[name] = top[name]
     tests = stated_tests(as_list("test", document.get("test", [])))
@@ -320,6 +323,7 @@ def _read_entry(entry: Entry, table: object) -> Table:
 def _refuse_half_of_a_pair(tables: Mapping[str, list[Table]]) -> None:
     """Raise ValueError where G stands without bounds of disturbances, or D_v without F."""
     (matrices,) = tables["matrices"]
+    # either half alone would silently drop the disturbance
     if ("G" in matrices) != bool(tables["disturbances"]):
         half = "the blocks are" if "G" in matrices else "G is"
         raise ValueError(
@@ -350,6 +354,7 @@ def _of_signals(tables: Mapping[str, list[Table]]) -> dict[str, Any]:
         arguments["times"] = {}
         for i, bound in enumerate(arguments["noise"]):
             if isinstance(bound, tuple):
+                # a bound with its factor is one field of the file, and two arguments of a model
                 arguments["noise"][i], arguments["times"][outputs[i]["name"]] = bound
     return arguments
 

@@ -9,14 +9,18 @@ from jaxbound.exact.linalg import Number
 from jaxbound.models.filevalues import TEXT, TRUTH, ValueKind, known_fields
 from jaxbound.models.numbers import number
 
+PLAIN = "plain"
+"""In place of k/n: each stretch of FAULT windows is an alarm, whatever a model states."""
 RULE = re.compile(r"(\d{1,15})/(\d{1,15})", re.ASCII)
 
 
 def _read_rule(field: str, where: str, value: object) -> str:
-    """Return k/n as text, checked."""
+    """Return k/n, or the word for the plain rule, as text, checked."""
+    if value == PLAIN:
+        return PLAIN
     match = RULE.fullmatch(value) if isinstance(value, str) else None
     if match is None or not 1 <= int(match[1]) <= int(match[2]):
-        raise ValueError(f"{where} needs a {field} k/n with 1 <= k <= n, like 3/5, not {value!r}")
+        raise ValueError(f"{where} needs a {field} k/n with 1 <= k <= n, like 3/5, or {PLAIN}, not {value!r}")
     return match[0]
 
 

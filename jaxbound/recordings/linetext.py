@@ -61,6 +61,18 @@ class Cells(NamedTuple):
     rows: int
     decimal: str = ""
 
+    @property
+    def repeated(self) -> np.ndarray:
+        """(N - 1,) bool: whether each row but the first holds what the row before it does."""
+        same = np.ones(max(self.rows - 1, 0), bool)
+        for x in self.columns.values():
+            missing = x != x  # NaN; a text is what it is
+            same &= (x[1:] == x[:-1]) | (missing[1:] & missing[:-1])
+        for cells in self.odd.values():  # words are not compared
+            same[np.maximum(cells.rows - 1, 0)] = False
+            same[np.minimum(cells.rows, len(same) - 1)] = False
+        return same
+
     def kept(self, rows: np.ndarray) -> "Cells":
         """Return the cells of some rows, (N,) bool."""
         import pyarrow as pa
@@ -137,7 +149,7 @@ class LineReader:
                 return self._without_missing(self._cells(table, {}, decimal))
         texts = self.written(opened)
         if texts is None:
-            raise ValueError(self._bad_row(opened))
+            raise ValueError(self.trouble_in(opened))
         readings = [self._numbers_among(texts, sign) for sign in self.layout.decimals]
         counts = [sum(len(odd.rows) for odd in cells.odd.values()) for cells in readings]
         best = counts.index(min(counts))
@@ -347,7 +359,7 @@ class LineReader:
                 bad = [k for k, x in enumerate(numbers) if x is None]
                 if bad:
                     odd[name] = OddCells(np.array(bad), [rows[k][i].strip() for k in bad])
-        return Cells(columns, self._time_of(times), odd, len(rows))
+        return Cells(columns, self.joined_time(times), odd, len(rows))
 
     def _numbers_in(self, row: Sequence[str]) -> dict[str, float | None]:
         """Return {column: its number in a row, NaN of a blank cell, None where it holds none}."""
@@ -469,9 +481,9 @@ class LineReader:
                 columns[name] = np.array(table[name].to_pylist(), object)
             elif name not in self.texts:
                 columns[name] = from_arrow(table[name])
-        return Cells(columns, self._time_of(table), odd, len(next(iter(table.values()))), decimal)
+        return Cells(columns, self.joined_time(table), odd, len(next(iter(table.values()))), decimal)
 
-    def _time_of(self, texts: "Mapping[str, pa.Array]") -> "pa.Array | None":
+    def joined_time(self, texts: "Mapping[str, pa.Array]") -> "pa.Array | None":
         """Return the time of columns of texts; None where it is a column of numbers or none."""
         if not self.is_text:
             return None
@@ -524,7 +536,7 @@ class LineReader:
         if between and self.plan.time is None:
             raise ValueError(f"row {between[0]} {BLANK}")
 
-    def _bad_row(self, opened: Opened) -> str:
+    def trouble_in(self, opened: Opened) -> str:
         """Return a sentence on the first row that is none, or has a cell that is no number."""
         for number, line in self._numbered(opened):
             trouble = self.trouble(line)

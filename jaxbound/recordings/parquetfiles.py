@@ -185,9 +185,16 @@ def _refuse_no_numbers(column: str, kind: "pa.DataType") -> None:
             f"column {column!r} is in half precision: write it as float32 and state in `resolution` what "
             f"was rounded away"
         )
-    numeric = types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)
-    if not numeric and not types.is_boolean(kind) and not types.is_null(kind):
+    if not holds_numbers(kind):
         raise ValueError(f"column {column!r} holds {_in_words(kind)}: numbers are needed")
+
+
+def holds_numbers(kind: "pa.DataType") -> bool:
+    """Return whether a type is one of numbers, of yes and no, or of nothing."""
+    from pyarrow import types
+
+    numeric = types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)
+    return bool(numeric or types.is_boolean(kind) or types.is_null(kind))
 
 
 def _refuse_no_times(column: str, kind: "pa.DataType") -> None:

@@ -7,7 +7,7 @@ behind it, whether the sender begins again or not.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial, reduce
 from pathlib import Path
@@ -21,9 +21,10 @@ from jaxbound.recordings.csvlines import BOM, split_lines
 from jaxbound.recordings.csvtext import BLANK, FURTHER, MISSING_CELLS, UNENDED, head_of, is_number, is_value
 from jaxbound.recordings.linetext import Cells, LineReader, of_one, reader_of, refuse_infinite
 from jaxbound.recordings.oddcells import thousands
-from jaxbound.recordings.recording import Recording, Times
+from jaxbound.recordings.recording import Recording, Samples, Times
 from jaxbound.recordings.recordingformat import RecordingFormat, format_of
 from jaxbound.recordings.seams import TOLERATED_STEP, check_period, rows_apart
+from jaxbound.recordings.selection import Moments
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, digests_of
 from jaxbound.recordings.thousands import Doubt
@@ -32,6 +33,8 @@ from jaxbound.recordings.timestamps import parse_stamps, since_epoch
 SOURCE = "standard input"
 LONGEST = 1 << 20  # bytes of a line
 SHOWN = 100  # samples whose steps say whether the sampling period is the model's
+TIME = "= time"
+"""The time of a row, which no column is called."""
 TOLD = 20  # seams of one piece that get a sentence
 Line = tuple[int, bytes]
 """A line with its number."""
@@ -60,7 +63,7 @@ class PipeText(Stream):
         taken: Taken | None = None,
     ) -> None:
         super().__init__(model, complain, taken)
-        format_of(model).refuse_in("a pipe", "hold", "equal")
+        format_of(model).refuse_in("a pipe", "hold", "equal", "long")
         self.tail = self.rest = b""  # half a line; half a line of a process before
         self.head: list[bytes] = []  # the header and the first row of data, perhaps a line with the delimiter
         self.reader: LineReader | None = None  # as soon as there is a row of data
@@ -80,6 +83,8 @@ class PipeText(Stream):
         self.returns = 0  # carriage returns at the end, which may be the first half of a line end
         self.replaying = False  # the lines that come are those that a process before had judged
         self.was_broken = False  # behind the last sample of that one
+        self.before: dict[str, np.ndarray] = {}  # the last row, where a signal looks back
+        self.digest = np.zeros(1, np.uint64)  # of the last row
         self.shown: list[float] | None = []
         if not self.regular:
             self.shown = None
@@ -459,6 +464,9 @@ class PipeText(Stream):
         if plan.where is None:  # before they tell how the time is counted
             reader.refuse(cells, None, "".format)
         digests = self._digests(cells)
+        again = digests == np.append(self.digest, digests[:-1])
+        if plan.time is not None and again.any():
+            return self._once(rows, again)
         if cells.times is not None:
             times = self._text_times(cells.times)
         elif plan.time is not None:
@@ -470,7 +478,7 @@ class PipeText(Stream):
             columns.setdefault(plan.time, since if stamps is None else stamps)
         if self.numbers is not None and self.numbers.scale is None:
             since = since - self.numbers.origin
-        samples = plan.samples(columns, cells.rows, (since, stamps))
+        samples = self._samples_behind(columns, (since, stamps))
         if plan.where is not None:
             reader.refuse(cells, samples[2], "".format)
         self._refuse_doubt(cells, samples[2], rows)
@@ -480,7 +488,39 @@ class PipeText(Stream):
             if not rows:
                 return piece
         self.taken.add(digests)
+        self.digest = digests[-1:]
         return self._seamed(piece, rows)
+
+    def _once(self, rows: list[Line], again: np.ndarray) -> Recording:
+        """Return the samples of lines without those that say again what the line before says."""
+        left: list[Line] = []
+        for row, is_again in zip(rows, again.tolist(), strict=True):
+            if is_again:
+                self.no_rows += 1
+                self.complain("line", f"line {row[0]} repeats the line before: left out")
+            else:
+                left.append(row)
+        if left:
+            return self._samples(left)
+        return self.numbered(None)[1]
+
+    def _samples_behind(self, columns: Mapping[str, np.ndarray], moments: Moments) -> Samples:
+        """Return the samples of columns; a rate needs the row before them, too."""
+        plan, (since, stamps) = self._known_reader.plan, moments
+        count, behind = len(since), 0
+        if any(signal.looks_back for signal in plan.every):
+            before, last = self.before, {name: x[-1:] for name, x in columns.items()}
+            self.before = {TIME: since[-1:]} | last
+            if before and not self.broken:
+                behind = 1
+                since = np.append(before[TIME], since)
+                columns = {name: np.append(before[name], x) for name, x in columns.items()}
+                if stamps is not None:
+                    stamps = np.append(stamps[:1], stamps)
+        u, y, excluded = plan.samples(columns, count + behind, (since, stamps), dt=self.dt)
+        if excluded is not None:
+            excluded = excluded[behind:]
+        return u[behind:], y[behind:], excluded
 
     def _refuse_doubt(self, cells: Cells, excluded: np.ndarray | None, rows: list[Line]) -> None:
         """Refuse a number whose decimal sign may be a sign for thousands, behind whole ones."""

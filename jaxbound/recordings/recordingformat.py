@@ -3,7 +3,7 @@
 import codecs
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 from jaxbound.recordings.clockintervals import seconds_of
@@ -33,7 +33,9 @@ class RecordingFormat:
             "Europe/Berlin".
         missing: words and numbers that stand for missing samples. on, off: words for 1 and 0.
         hold: how long a sample stands for blank cells behind it, like "10min", in files that are written when
-            a value changes. equal: the row that counts among those of one time, "first" or "last".
+            a value changes; with dt known samples are that far apart then. equal: the row that counts among
+            those of one time, "first" or "last".
+        long: the columns of tags and of their values in files with a row a tag.
     """
 
     header: int | None = None
@@ -53,6 +55,7 @@ class RecordingFormat:
     off: tuple[str, ...] = ()
     hold: str = ""
     equal: str = ""
+    long: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, given: "Stated") -> "RecordingFormat":
@@ -110,6 +113,13 @@ class RecordingFormat:
         for name in names:
             if name in self.stated:
                 raise ValueError(f"{name} of {RECORDING} is for CSV files, not for {where}")
+
+    @property
+    def wide(self) -> "RecordingFormat":
+        """The format of the same cells with a column a tag."""
+        if not self.long:
+            return self
+        return replace(self, long=(), header=None, skip=(), comment="", encoding="", equal="")
 
     @property
     def text(self) -> str:
@@ -247,6 +257,14 @@ def _interval(value: object) -> str:
     return str(value)
 
 
+def _two(value: object) -> tuple[str, ...]:
+    """Return two names of columns."""
+    names = _texts(value)
+    if len(names) != 2:
+        raise ValueError(f"must be two columns, of the tags and of the values, not {value!r}")
+    return names
+
+
 def _which(value: object) -> str:
     if value not in EQUAL:
         raise ValueError(f"must be {' or '.join(EQUAL)}, not {value!r}")
@@ -271,5 +289,6 @@ READERS: Mapping[str, Callable[[Any], Any]] = {
     "off": _texts,
     "hold": _interval,
     "equal": _which,
+    "long": _two,
 }
 """{field: reader of its value}."""

@@ -56,7 +56,7 @@ def causes_of(model: object, alarms: Sequence[Alarm], chosen: Sequence[int]) -> 
                 causes[i] = cause_for_page(alarms[i].diagnose())
     for i in chosen:
         if i not in causes and alarms[i].cause:
-            causes[i] = Cause(f"{alarms[i].cause}; looked at the window in which it begins alone", ())
+            causes[i] = Cause(f"{alarms[i].cause}; looked at its worst window alone", ())
     return causes
 
 

@@ -75,9 +75,11 @@ const behind = (u, row, { piece, violated }) => {
 const alarmed = (u) => {
   const size = 5 * devicePixelRatio, foot = u.bbox.top - devicePixelRatio;
   u.ctx.fillStyle = colour("FAULT");
-  for (const [, , , worst] of page.alarms) {
-    const x = u.valToPos(base + worst, "x", true);
-    if (x < u.bbox.left || x > u.bbox.left + u.bbox.width) continue;
+  const left = u.bbox.left, right = left + u.bbox.width;
+  for (const [, ...times] of page.alarms) {
+    const [begun, ended, x] = times.map((t) => Math.min(Math.max(u.valToPos(base + t, "x", true), left - 1), right + 1));
+    if (begun < right && ended > left) u.ctx.fillRect(begun, foot - size / 2, ended - begun, size / 2); // as long as it lasts
+    if (x < left || x > right) continue;
     u.ctx.beginPath();
     u.ctx.moveTo(x, foot);
     u.ctx.lineTo(x - size, foot - 1.6 * size);

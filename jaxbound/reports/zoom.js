@@ -36,7 +36,7 @@ const goto = (i) => {
   alarm = number;
   choice.value = String(row);
   const piece = near.find((p) => p.combined.has(alarm)) || near.find((p) => p.first <= begun && ended <= p.last);
-  if (piece) show(piece.first, piece.last);
+  if (piece) show(Math.max(piece.first, begun - 20 * page.step), piece.last);
   else show(Math.min(begun, worst) - reach, Math.max(ended, worst) + reach);
 };
 const part = (a, b) => () => show(from + a * (to - from), to + b * (to - from));

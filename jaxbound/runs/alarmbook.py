@@ -228,6 +228,7 @@ class LiveAlarms(TimedAlarms):
         self.u = np.full((self.width, len(known(model))), np.nan)
         self.y = np.full((self.width, len(model.outputs)), np.nan)
         self.begin = -self.width
+        self.worst: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self.notices: list[Notice] = []
         self.rows = b""
         self.header = header_line(self.columns([]))
@@ -239,6 +240,8 @@ class LiveAlarms(TimedAlarms):
             self.u = np.concatenate([self.u, np.asarray(piece.u)])
             self.y = np.concatenate([self.y, np.asarray(piece.y)])
         over = self.taken(piece, verdicts)
+        if self.watch.blame is not None:
+            self._keep(over)
         drop = len(self.u) - self.width
         self.u, self.y, self.begin = self.u[drop:], self.y[drop:], self.begin + drop
         troubles = [*self.watch.acknowledged.troubles.values()]
@@ -265,9 +268,22 @@ class LiveAlarms(TimedAlarms):
 
     def samples(self, first: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
         """Return samples that are kept, by their numbers."""
+        if first < self.begin:
+            u, y = self.worst[stop - 1]
+            return u[len(u) - (stop - first) :], y[len(y) - (stop - first) :]
         at = slice(first - self.begin, stop - self.begin)
-        assert at.start >= 0, "so many are kept"
         return self.u[at], self.y[at]
+
+    def _keep(self, over: Sequence[Raised]) -> None:
+        """Keep the windows in which alarms are deepest, as their sizes are asked for when they are over."""
+        on = [*over, *self.watch.alarms.values()]
+        if self.watch.open is not None:
+            on.append(self.watch.open)
+        kept = {}
+        for alarm in on:
+            first, stop = alarm.worst - self.relations.reach, alarm.worst + 1
+            kept[alarm.worst] = self.worst.get(alarm.worst) or self.samples(first, stop)
+        self.worst = kept
 
     def of(self, piece: Recording, verdicts: Verdicts) -> bytes:
         """Return the rows of the alarms that ended in the last piece."""
@@ -291,13 +307,17 @@ class LiveAlarms(TimedAlarms):
 
     def memory(self) -> dict[str, Any]:
         """Return the alarms that are on, and the last samples."""
-        return super().memory() | {"samples": as_texts((self.u, self.y))}
+        worst = [(sample, as_texts(window)) for sample, window in self.worst.items()]
+        return super().memory() | {"samples": as_texts((self.u, self.y)), "worst": worst}
 
     def resume(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
         super().resume(memory)
         self.u, self.y = from_texts((self.u, self.y), memory["samples"])
         self.begin = self.watch.samples - self.width
+        like = self.u[: self.relations.reach + 1], self.y[: self.relations.reach + 1]
+        for sample, texts in memory["worst"]:
+            self.worst[sample] = from_texts(like, texts)
 
     def _notice(self, event: Event) -> dict[str, Any]:
         """Return the notice of the begin or the end of an alarm."""
@@ -315,6 +335,8 @@ class LiveAlarms(TimedAlarms):
                 told["test"] = self.name_of(raised.begun_by) or None
             return told
         (alarm,) = self.alarms_of([raised])
+        if self.shows.causes:
+            suspect["cause"] = alarm.cause or None
         told = {"alarm": "end", "number": event.number, "sample": alarm.end}
         told |= {"time": self._text(raised.end), **suspect}
         return told | {"windows": alarm.windows, "depth": alarm.depth, "ended": alarm.ended}

@@ -68,25 +68,22 @@ def concluded(
     """Return the Summary of a test, with all that is to be said of it.
 
     Args:
-        res, alarms, sizes: as for `ending_hints`. stated: the model as its file states it, with the windows
-            that its bounds were found for. label, min_coverage: see `summarised`.
+        res, alarms: as for `sizes_seen`, which returns sizes. stated: the model as its file states it, with
+            the windows that its bounds were found for. label, min_coverage: see `summarised`.
     """
     reaches = outgrown(stated, res.relations)
-    hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, alarms, sizes)))
+    hints = dict.fromkeys((*res.hints, *reaches, *ending_hints(res, alarms)))
     return summarised(res, alarms, label, min_coverage, hints, sizes, bool(reaches))
 
 
-def ending_hints(
-    res: Result | Digest, alarms: Sequence[Alarm], sizes: Mapping[str, float] | None = None
-) -> list[str]:
+def ending_hints(res: Result | Digest, alarms: Sequence[Alarm]) -> list[str]:
     """Return a sentence on alarms after which CONSISTENT windows do not mean that the fault is repaired.
 
     Args:
-        res, alarms: as for `sizes_seen`, which returns sizes; None: not asked for.
+        res, alarms: as for `sizes_seen`.
     """
     counts = evidence(res, alarms).ended or {}
-    over = endings_said(counts, sum(counts.values()))
-    return [f"{sentence}; {sizes_text(res, sizes)}{_longer(res, sizes)}" for sentence in over]
+    return endings_said(counts, sum(counts.values()))
 
 
 def _longer(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
@@ -120,12 +117,12 @@ def _of_alarms(count: int, total: int) -> str:
 def sizes_text(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
     """Say from which size on windows are sure to show an error that lasts."""
     if res.relations.parts and sizes is None:
-        return "the tests are sure of no size that lasts, as far as is known"
+        return "from which size on the tests are sure to show an error that lasts is not known"
     if res.relations.latched and not res.relations.parts:
-        return "an observer is sure of no size that lasts"
+        return "an observer may miss an error that lasts, whatever its size"
     if res.relations.remembers and not res.relations.parts:
         advice = "latched=true keeps FAULT on behind what was contradicted"
-        return f"an observer is sure of no size that lasts; {advice}"
+        return f"an observer may miss an error that lasts, whatever its size; {advice}"
     these = looked_at(res.relations)
     if res.relations.parts:
         these = "the tests"
@@ -140,10 +137,10 @@ def sizes_text(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
     never = ", ".join(name for name, size in sizes.items() if not np.isfinite(size))
     untold = [name for name, test in res.relations.parts.items() if not is_affordable(test)]
     if not shown:
-        return f"{these} are sure of no constant error that lasts, whatever its size"
+        return f"{these} may miss a constant error that lasts, whatever its size"
     if never:
-        never = f", of {never} at no size"
+        never = f"; one of {never} they may miss, whatever its size"
     said = f"{these} are sure to show a constant error that lasts from {shown} on{never}"
     if untold:
         said += f"; {listed(untold)} may show smaller ones: jaxbound info tells from which size on"
-    return said
+    return said + _longer(res, sizes)

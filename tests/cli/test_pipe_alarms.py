@@ -170,5 +170,6 @@ def test_the_cause_stands_in_lines_tables_and_the_summary(text, place, send, cap
     summary = json.loads(capsysbinary.readouterr().out)
     causes = pd.read_csv("file/alarms.csv", keep_default_na=False).cause.tolist()
     assert causes == pd.read_csv("out/alarms.csv", keep_default_na=False).cause.tolist()
-    assert causes[0].startswith("probe slips: +0.") and told[0] == ("begin", causes[0])
+    assert causes[0].startswith("probe slips: +0.") and told[0][1].startswith("probe slips: +0.")
+    assert told[1] == ("end", causes[0]) != ("end", told[0][1])  # of the worst window, not of the first
     assert ("end", causes[0]) in told and summary["first_cause"] == causes[0]

@@ -217,3 +217,17 @@ def test_the_times_of_a_rule_are_read_once(monkeypatch):
     for _ in range(2):
         assert result.alarms(rule=rule)[0].ended == "acknowledged"
     assert asked == [3]
+
+
+def test_the_size_of_an_alarm_is_that_of_its_worst_window():
+    """A fault that grows was shown by the size at which it began."""
+    y = [
+        [0.0],
+        [0.0],
+        [0.5],
+        [1.5],
+        [0.5],
+    ]  # off by 1, 2.5 and .5: errors of .23, .73 and .07
+    (alarm,) = jb.detect(one(), None, y).alarms(rule=AlarmRule(latch=True))
+    assert (alarm.start, alarm.worst) == (2, 3) and alarm.size == pytest.approx(2.2 / 3)
+    assert alarm.size == float(alarm.errors["T1"])

@@ -232,7 +232,7 @@ def test_an_input_holds_until_its_next_sample(run, page, tmp_path):
 def test_a_band_and_a_line_beyond_their_chart_are_cut_off(run, page, tmp_path):
     deeds = """
       const c = chart("zoom", "s0"), { left, top, width, height } = c.bbox;
-      const p = c.data[0].findIndex((t, i) => t >= 0.7 && c.data[1][i] !== null);
+      const p = c.data[0].findIndex((t, i) => t > c.scales.x.min + 0.1 && c.data[1][i] !== null);
       const middle = (c.data[1][p] + c.data[2][p]) / 2, size = (c.data[2][p] - c.data[1][p]) / 2;
       c.setScale("y", { min: middle - 0.3 * size, max: middle + 0.3 * size }); await settled();
       const x = c.valToPos(c.data[0][p], "x", true);
