@@ -303,6 +303,11 @@ def test_a_column_is_read_where_all_its_cells_have_one_notation(tmp_path, case):
     live, said = from_pipe(path.read_bytes(), THREE, [])
     known = [k for k, time in enumerate(run.time) if time in live.time]  # of others a sentence says why
     assert live.y[:, 0].tolist() == [numbers[k] for k in known] and len(known) + len(said) == 3
+    pipe = PipeText(THREE, print)
+    pipe.take(path.read_bytes())
+    again = PipeText(THREE, print, pipe.memory())  # another process goes on by the same notation
+    piece = again.take(f"{180}{delimiter}1{delimiter}{cells[0]}\n".encode())
+    assert known[0] or piece.y[:, 0].tolist() == numbers[:1]
     if delimiter == ",":
         assert Recording.of(THREE, frame).y[:, 0].tolist() == numbers
 
@@ -372,3 +377,20 @@ def test_fit_keeps_the_order_of_day_and_month_for_a_day_that_does_not_show_it(tm
     (tmp_path / "day.csv").write_text(path.read_text()[:17] + "02/03/2026 10:00,1,1\n02/03/2026 19:00,1,1\n")
     assert str(jb.read(tmp_path / "day.csv", ordered).stamps[0]).startswith("2026-03-02")
     assert str(jb.read(tmp_path / "day.csv", plain).stamps[0]).startswith("2026-02-03")
+
+
+def test_a_stream_below_many_lines_goes_on_without_losing_any(tmp_path):
+    lines = [
+        "Logger 7",
+        "Serial 3",
+        "time;heater;temp",
+        "s;%;degC",
+        *(f"{60 * k};1;{k},5" for k in range(60)),
+    ]
+    first, rest = "\n".join([*lines[:24], ""]), "\n".join([*lines[24:], ""])
+    pipe = PipeText(THREE, print)
+    begun = pipe.take(first.encode())
+    again = PipeText(THREE, print, pipe.memory())
+    piece = again.take(rest.encode())
+    assert begun.y[:, 0].tolist() == [k + 0.5 for k in range(20)]
+    assert piece.y[:, 0].tolist() == [k + 0.5 for k in range(20, 60)]
