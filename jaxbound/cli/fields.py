@@ -132,6 +132,7 @@ def fields_of(text: str, first: str) -> dict[str, Any]:
         if not isinstance(table, dict) or key in table:
             raise ValueError(f"says {name} twice")
         table[key] = value.strip() if name in TEXTS or not first else _value(value)
+        # lags=4 alone is a list of one, not a number
         if name == "lags" and not isinstance(table[key], tuple):
             table[key] = (table[key],)
     return fields

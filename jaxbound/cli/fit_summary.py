@@ -158,6 +158,9 @@ class FitConclusion(Conclusion):
         yield from _tried_signals(model)
         yield from _tried_tests(model)
         yield from _left_out(check, self.files)
+        if model.extrapolation:
+            why = model.provenance["extrapolation"]
+            yield "outside training", f"bounds are {float(model.extrapolation):.3g} times as wide, {why}"
         yield from _follows(check)
         yield from disturbance_rows(model)
         if not check.tests:  # else lags were tried
@@ -219,7 +222,7 @@ def _tried_signals(model: Fitted) -> Iterator[Row]:
     others = sorted((one for one in tried if not one.taken), key=lambda one: one.blindness)
     for one in [*(one for one in tried if one.taken), *others[:SHOWN]]:
         jump, steady = _each_size(model, one.jump), _each_size(model, one.steady)
-        text = f"needs {one.factor:.3g} times; jumps from {jump}, lasting from {steady}"
+        text = f"needs {one.factor:.3g} times; sees jumps of {jump}; lasting errors of {steady}"
         if not np.isfinite(one.blindness):
             text = "fewer recordings can be left out"
         elif one.taken and one.change != GIVEN:
@@ -234,8 +237,8 @@ def _tried_tests(model: Fitted) -> Iterator[Row]:
     for test in model.check.tests:
         jump, steady = _each_size(model, test.jump), _each_size(model, test.steady)
         text = (
-            f"needs {test.factor:.3g} times; by {test.method}; jumps from {jump}, lasting from {steady}, "
-            f"ramps by {_each_size(model, test.ramp)} in {RAMP} samples"
+            f"needs {test.factor:.3g} times; by {test.method}; sees jumps of {jump}; lasting errors of "
+            f"{steady}; ramps, within {RAMP} samples, of {_each_size(model, test.ramp)}"
         )
         if _is_taken(test, model):
             text = f"chosen: {text}"
@@ -249,7 +252,10 @@ def _bounds_by_output(model: Fitted, bounds: Iterable[SupportsFloat]) -> dict[st
 def _each_size(model: Fitted, sizes: Mapping[str, float]) -> str:
     parts = []
     for name in model.outputs:
-        parts.append(f"{name} {_size(model, sizes, name)}")
+        text = f"{name} from {_size(model, sizes, name)}"
+        if sizes[name] > model.check.moved.get(name, np.inf):
+            text = f"{name} beyond all that it moved"
+        parts.append(text)
     return ", ".join(parts)
 
 
@@ -317,7 +323,7 @@ def promise(factor: float, count: int) -> str:
     if not count:
         return text
     return (
-        f"{text}; of recordings like them one in {count + 1} may still ask for more, of more recordings fewer"
+        f"{text}; of recordings like them one in {count + 1} may still ask for more, by more recordings fewer"
     )
 
 
@@ -337,6 +343,6 @@ def _memory(model: Fitted) -> Iterator[Row]:
     yield (
         "memory",
         f"the plant remembers longer than a window: fitted again with "
-        f"--recipe lags={','.join(map(str, lags))} it would see lasting errors from "
+        f"`--recipe lags={','.join(map(str, lags))}` it would see lasting errors from "
         f"about {', '.join(sizes)} on, if its bounds hardly grew",
     )

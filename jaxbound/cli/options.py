@@ -175,6 +175,7 @@ def whole_number(least: int = 0, most: int = LARGEST) -> Callable[[str], int]:
     """Return a reader of whole numbers between two."""
 
     def read(text: str) -> int:
+        # int() of a million digits takes minutes
         is_long = len(text) >= DIGITS
         if not _is_whole(text) or (not is_long and int(text) < least):
             raise ArgumentTypeError(f"needs a whole number >= {least}, not {text[:40]!r}")
@@ -195,6 +196,13 @@ def some_of(k: str, example: str) -> Callable[[str], tuple[int, int]]:
         return int(first), int(n)
 
     return read
+
+
+def rule(text: str) -> str:
+    """Return k/n, or the word for the plain rule, as it is written."""
+    if text != "plain":
+        some_of("k", "3/5")(text)
+    return text
 
 
 def share(text: str) -> float:

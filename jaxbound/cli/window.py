@@ -75,6 +75,7 @@ def asked_test(args: argparse.Namespace, *more: str, only: Sequence[str] = (), c
     for field in ("margins", "outside"):
         if field in test and not claims:
             raise Refused(f"--test: {field} is for detect and fleet, leave it out")
+    # the command line speaks of windows, the library of the joint test
     called, name = WINDOWS
     if test.get("method") == called:
         test["method"] = name

@@ -188,7 +188,7 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
     samples = plan.samples(columns, cells.rows, (time - time[0], stamps))
     reader.refuse(cells, samples[2], layout.row)
     condition = () if plan.where is None else plan.where.read
-    hints = [*layout.hints, *filter(None, [hint]), *reader.left_hints]
+    hints = [*layout.hints, *plan.hints, *filter(None, [hint]), *reader.left_hints]
     hints += [
         *error_hints(cells.odd, samples[2], layout.row),
         *unsaid_hints(cells.odd, condition, layout.row),

@@ -234,8 +234,8 @@ def _first_of_data(rows: Sequence[Sequence[str]], decimal: str, how: RecordingFo
         below = list(zip_longest(*rows[number + 1 :], fillvalue=""))
         valued = []  # cells of this row, in columns that hold values below
         for cell, column in zip(cells, below, strict=False):
-            values = sum(is_value(other, decimal, how) for other in column)
-            if 2 * values > len(column):
+            values = [is_value(other, decimal, how) for other in column]
+            if values[-1] or 2 * sum(values) > len(values):
                 valued.append(cell)
         if not {*valued} - {"1", *MISSING_CELLS} or valued[0] == "1":
             return number

@@ -149,7 +149,7 @@ def noted_numbers(cells: Sequence[object], how: RecordingFormat) -> tuple[np.nda
     notation = notation_of(known, (".",), how)
     if notation is None:
         return None
-    return notation.numbers(column)[0], f"{known[0].as_py()!r}, read so: {notation.words}"
+    return notation.numbers(column)[0], f"{known[0].as_py()}: {notation.words}"
 
 
 def _truths(how: RecordingFormat) -> Iterable[tuple[tuple[str, ...], tuple[str, ...]]]:

@@ -58,7 +58,8 @@ class Wanted:
     Fields: inputs, outputs: a Column or an Expression for each signal; where: the Expression of the
     condition, or None; time: the column of the time, or None; day: the column of the day where the time is
     only that of a day, or None; factors: an Expression for each factor of the model, over columns and inputs;
-    model: whose factors they are; missing: numbers that stand for missing samples.
+    model: whose factors they are; missing: numbers that stand for missing samples; alike: columns that are
+    called like the time but for capitals and blanks, where the model does not say which it is.
     """
 
     inputs: tuple[Column | Expression, ...]
@@ -69,6 +70,15 @@ class Wanted:
     factors: tuple[Expression, ...] = ()
     model: Named | None = None
     missing: tuple[float, ...] = ()
+    alike: tuple[str, ...] = ()
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        """A sentence where another column is called like that of the time, which is known by its name."""
+        if not self.alike:
+            return ()
+        others = listed(self.alike)
+        return (f"the time is column {self.time!r}, not {others}, called alike: say which, {TELLING}",)
 
     @property
     def every(self) -> tuple[Column | Expression, ...]:
@@ -188,6 +198,9 @@ def wanted(names: Sequence[str], model: SignalModel, dated: Callable[[str], str]
     taken = signals.signals
     free = [name for name in names if name not in taken]
     day, time = time_column(names, free, model.columns.get("time"), dated, getattr(model, "dt", None))
+    if time is not None and "time" not in model.columns:
+        twins = [c for c in free if c != time and c.strip().lower() == time.strip().lower()]
+        signals = replace(signals, alike=tuple(twins))
     if "where" not in model.columns:
         return replace(signals, time=time, day=day)
     return replace(signals, where=expression(model.columns["where"]).among(names), time=time, day=day)

@@ -5,13 +5,14 @@ import inspect
 import json
 import re
 from fractions import Fraction
+from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.cli import fields, main
+from jaxbound.cli import fields, fit_summary, main
 from jaxbound.cli.fit_summary import signal_columns
 from jaxbound.recordings.read import read_signals
 from jaxbound.studies.identification import window_tests
@@ -352,3 +353,10 @@ def test_what_does_not_go_with_add_is_refused(place, capsys, options, sentence):
     (place / "tank.toml").write_text("")
     assert main.main(["fit", *options]) == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_a_size_beyond_all_that_an_output_moved_is_none_to_expect():
+    check = SimpleNamespace(moved={"T": 10.0, "SAT": 60.0, "F": 1.0})
+    model = SimpleNamespace(outputs=("T", "SAT", "F"), check=check, unit={"T": "K", "SAT": "K", "F": ""}.get)
+    said = fit_summary._each_size(model, {"T": 0.5, "SAT": 494.0, "F": np.inf})
+    assert said == "T from 0.5 K, SAT beyond all that it moved, F beyond all that it moved"
