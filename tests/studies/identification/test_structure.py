@@ -93,7 +93,7 @@ def test_of_unseen_days_fewer_have_a_false_alarm_than_the_promise():
     assert found["bias"] > found["healthy"] and found["loss"] > found["healthy"]
 
 
-@pytest.mark.long
+@pytest.mark.long(by_day="test_of_unseen_days_fewer_have_a_false_alarm_than_the_promise")
 @pytest.mark.parametrize("count", [2, 3, 5, 8])
 def test_so_many_days_keep_their_promise(count):
     from benchmarks.tomorrow import JUDGED, judged
