@@ -4,6 +4,7 @@ not seen.
     python -m benchmarks.tomorrow        ten minutes of one core; writes tomorrow.json, prints a table
     python -m benchmarks.tomorrow --repeats 10 --unseen 20
     python -m benchmarks.tomorrow --quick           one small fit: does it run
+    python -m benchmarks.tomorrow --factors         the factor alone, of windows of 16 samples
     python -m benchmarks.tomorrow --curves          curves of detection, and their picture
 
 Days of a heater whose room is another one each day, of a building in 30 days of spring (its weather is an
@@ -14,8 +15,10 @@ day has a false alarm, and n days promise that at most 1 in n + 1 has one. From 
 or the first input loses some of its effect: the share of windows that are FAULT with the bounds as written,
 and with bounds as wide, or as narrow, as the unseen healthy days ask for ("at zero": nobody knows them).
 
-Curves: a bias from noon on, seen by windows and by four statistics whose thresholds are set on the fresh days
-themselves, so that they raise an alarm on as many of them as the windows do.
+Factors: how many of 200 fresh days need more of the smallest bounds than the factor that `fit` states, and
+than it times the safety of 1.25. Curves: a bias from noon on, seen by windows and by four statistics whose
+thresholds are set on the fresh days themselves, so that they raise an alarm on as many of them as the windows
+do.
 """
 
 import sys
@@ -217,6 +220,28 @@ def days(plant: str, count: int, seed: int, loss: float = 0.0) -> Day:
     """Return (u (count, T, m), y (count, T, p)). loss: of what the input does, from noon on."""
     acts = np.where(np.arange(T) < NOON, 1.0, 1 - loss)
     return PLANTS[plant](np.random.default_rng(seed), acts, count)
+
+
+def trial(plant: str, count: int, seed: int) -> dict[str, float]:
+    """Return the factor of one fit to so many days, and the shares of FRESH days that need more."""
+    model = jb.fit(list(zip(*days(plant, count, seed), strict=True)), horizon=HORIZON)
+    smallest = [model.check.smallest[name] for name in model.outputs]
+    relations = jb.parity_relations(model.replace(noise=smallest, resolution=0, extrapolation=None))
+    need, _, _ = needs(relations, days(plant, FRESH, 10_000 + seed))
+    worst, factor = np.nanmax(need, 1), model.check.factor
+    factors = {"beyond it": factor, "with safety": 1.25 * factor, "safety alone": 1.25}
+    return {"factor": factor} | {name: float((worst > most).mean()) for name, most in factors.items()}
+
+
+def factors(repeats: int) -> None:
+    """Measure the factors, and print their table."""
+    rows = []
+    for plant in CURVES:
+        for count in DAYS[:3]:
+            trials = [trial(plant, count, 100 * count + r) for r in range(repeats)]
+            means = {name: np.mean([one[name] for one in trials]) for name in trials[0]}
+            rows.append((f"{plant}, {count}", *(f"{mean:.3f}" for mean in means.values())))
+    table(("plant, days", *means), rows)
 
 
 def needs(model: jb.LinearSystem, day: Day) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -443,12 +468,11 @@ def main() -> None:
     if "--curves" in sys.argv:
         curves()
         return
-    repeats, unseen, counts, plants = (
-        timing.option("--repeats", 3),
-        timing.option("--unseen", 22),
-        DAYS,
-        JUDGED,
-    )
+    if "--factors" in sys.argv:
+        factors(timing.option("--repeats", 6))
+        return
+    repeats, unseen = timing.option("--repeats", 3), timing.option("--unseen", 22)
+    counts, plants = DAYS, JUDGED
     if "--quick" in sys.argv:
         repeats, unseen, counts, plants = 1, 4, DAYS[:1], {"heater": JUDGED["heater"]}
     fits: dict[str, list[dict[str, float]]] = {}

@@ -194,6 +194,7 @@ class Diagnosis:
         shares = {}
         for name in (weighed.fault.name for weighed in explains):
             known = [each.shares[name] for each in (self, other) if name in each.shares]
+            # the larger share: a fault is as plausible as in the window that asks most of it
             if known:
                 shares[name] = max(known)
         # what is left open in one window is neither excluded nor explained by all
@@ -257,6 +258,7 @@ def _weighed(scale: Scale, fault: NamedFault) -> FaultSize:
     Raises:
         NotImplementedError: as `Scale.weigh`, or no size of a parameter was found.
     """
+    # from each sample of the window on: one that begins later explains fewer samples
     onsets = range(scale.window.horizon + 1)
     if fault.kind != PARAMETER:
         return scale.weigh(fault, onsets)

@@ -11,7 +11,7 @@ from jaxbound.plots.assessment import plot_assessment
 from jaxbound.plots.canvas import to_png
 from jaxbound.recordings.columns import texts, to_arrow, write_columns
 from jaxbound.studies.assessment.assessment import Assessment, Case, Marks
-from jaxbound.studies.assessment.scores import Score
+from jaxbound.studies.assessment.scores import Score, rule_text
 from jaxbound.text.quantities import duration, percent
 
 HEAD = ("detector", "factor", "alarm", "false alarms", "a day", "missed", "faults seen", "median delay")
@@ -51,6 +51,11 @@ class AssessmentConclusion(Conclusion):
         yield "factors", f"on all bounds; {first.marks.note}"
         for peer in first.peers:
             yield peer.name, f"{peer.note}; factors are on its threshold"
+        if first.peers:
+            yield (
+                "as few false",
+                "at the least threshold with no more healthy windows in alarm than jaxbound's",
+            )
 
     def plain(self) -> dict[str, Any]:
         """Return the counts of all models and detectors."""
@@ -130,13 +135,15 @@ def _table(named: Named) -> Iterator[tuple[str, ...]]:
     first = _first(named)
     for model, marks in _all_marks(named):
         for score in marks.scores:
-            is_main = score.rule == first.rules[0]
+            is_main = score.rule == first.score.rule
             is_model = bool(model)
             if score.factor == 1 or (is_main and is_model):
                 title = marks.name
                 if is_model and len(named) > 1:
                     title = model
                 yield title, *_cells(score)
+        if marks.equal is not None:
+            yield f"{marks.name}, as few false", *_cells(marks.equal)
 
 
 def _cells(score: Score) -> tuple[str, ...]:
@@ -145,7 +152,7 @@ def _cells(score: Score) -> tuple[str, ...]:
         seen = f"{len(score.delays)} of {score.episodes}"
     return (
         f"{score.factor:g}",
-        str(score.rule),
+        rule_text(score),
         _percent_or_dash(score.false_share),
         _shown(score.alarms_a_day),
         _percent_or_dash(score.missed_share),
@@ -200,13 +207,16 @@ def _isolation(one: Assessment) -> str:
 
 
 def _plain_marks(marks: Marks) -> dict[str, Any]:
-    return {"scores": list(map(_plain_score, marks.scores)), "note": marks.note}
+    plain: dict[str, Any] = {"scores": list(map(_plain_score, marks.scores)), "note": marks.note}
+    if marks.equal is not None:
+        plain["as_few_false"] = _plain_score(marks.equal)
+    return plain
 
 
 def _plain_score(score: Score) -> dict[str, Any]:
     return {
         "factor": score.factor,
-        "alarm": str(score.rule),
+        "alarm": rule_text(score),
         "healthy_windows": score.healthy,
         "healthy_in_alarm": score.false,
         "false_alarms": score.alarms,

@@ -11,7 +11,7 @@ from jaxbound.cli.options import (
     JSON,
     Options,
     reading,
-    some_of,
+    rule,
     test,
 )
 from jaxbound.cli.terminal import OK, Refused, door, progress_bars, usable_device
@@ -20,6 +20,7 @@ from jaxbound.text.quantities import decimal
 if TYPE_CHECKING:
     import numpy as np
 
+    from jaxbound.diagnosis.alarmrule import AlarmRule
     from jaxbound.models.system import LinearSystem
     from jaxbound.recordings.recording import Recording
     from jaxbound.runs.ask import Ask
@@ -59,11 +60,12 @@ OPTIONS = Options(
         **test(),
         "--out DIR": "folder for evaluation.json, curve.csv and roc.png",
     },
-    {"alarm": some_of("k", "3/5")},
+    {"alarm": rule},
     dict.fromkeys(("healthy", "faulty", "labels", "compare", "peers"), []),
     more={
-        "--alarm k/n ...": "alarm rules, k FAULT among n windows; the first one makes the curve (default: "
-        "the rule of the model's [alarms], else 1/1)",
+        "--alarm k/n ...": "alarm rules, k FAULT among n windows, or plain: no alarm latches, which they do "
+        "else where the model's [alarms] say so; the first one makes the curve (default: that of the model, "
+        "else plain)",
         "--factors A,B": "factors on all bounds (default: 0.5,0.7,1,1.5,2,3; an observer is followed once "
         "for each)",
         "--compare OTHER.toml ...": "models beside this one",
@@ -79,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     """Assess models on recordings, print and write what was counted; return the exit code."""
     with swift_imports():
         from jaxbound.cli.assessment_summary import AssessmentConclusion, write_assessment
-        from jaxbound.cli.window import asked_test
+        from jaxbound.cli.window import asked_test, stated_model
         from jaxbound.runs.outputs import output_folder
 
     factors = _factors(args.factors)
@@ -94,9 +96,10 @@ def run(args: argparse.Namespace) -> int:
             folder = stack.enter_context(output_folder(args.out, FILES, inputs))
         step = stack.enter_context(progress_bars(("read", "relations", "test")))
         found = []
-        rules, hints = _rules(args)
-        for number, model in enumerate(models):
-            assessment, said = _assessed(args, model, ask, rules, factors, number == 0, step)
+        plants = [stated_model(model, args.recording, ask) for model in models]
+        rules, hints = _rules(args, plants[0])
+        for number, (model, stated) in enumerate(zip(models, plants, strict=True)):
+            assessment, said = _assessed(args, (model, stated), ask, rules, factors, number == 0, step)
             found.append(assessment)
             hints += said
         named = {str(model): one for model, one in zip(models, found, strict=True)}
@@ -122,20 +125,17 @@ def _factors(text: str | None) -> list[float] | None:
         raise Refused(f"--factors needs numbers with commas, like 0.5,1,2, not {text!r}") from None
 
 
-def _rules(args: argparse.Namespace) -> tuple[list[tuple[int, int]], list[str]]:
+def _rules(args: argparse.Namespace, model: "LinearSystem") -> "tuple[list[AlarmRule], list[str]]":
     """Return (the rules of alarms that are asked for, else that of the model, hints)."""
     from jaxbound.diagnosis.alarmrule import stated_rule
-    from jaxbound.models.modelfile import load_model
 
-    if args.alarm:
-        return args.alarm, []
-    model = load_model(args.model)
-    rule = stated_rule(None, model, args.model)
-    others = sorted(model.alarms.keys() - {"rule"})
+    asked = [{"rule": text} for text in args.alarm or ()]
+    rules = [stated_rule(one, model, args.model) for one in asked or [{}]]
+    others = sorted(model.alarms.keys() - {"rule", "latch"})
     hints = []
     if others:
-        hints = [f"{args.model}: alarms are counted by k of n alone, without {', '.join(others)}"]
-    return [(rule.k, rule.n)], hints
+        hints = [f"{args.model}: alarms are counted by k of n and latch, without {', '.join(others)}"]
+    return rules, hints
 
 
 def _refuse_incomplete(args: argparse.Namespace) -> None:
@@ -150,6 +150,7 @@ def _refuse_incomplete(args: argparse.Namespace) -> None:
             f"{len(args.faulty)}"
         )
     trained = {file.resolve() for file in args.peers}
+    # a detector shown what it was trained on would look better than it is
     for file in (*args.healthy, *args.faulty):
         if file.resolve() in trained:
             raise Refused(f"{file} is in --peers too: what detectors were trained on does not test them")
@@ -157,21 +158,26 @@ def _refuse_incomplete(args: argparse.Namespace) -> None:
 
 def _assessed(
     args: argparse.Namespace,
-    path: Path,
+    model: "tuple[Path, LinearSystem]",
     ask: "Ask",
-    rules: list[tuple[int, int]],
+    rules: "list[AlarmRule]",
     factors: list[float] | None,
     with_peers: bool,
     step: Callable[[str, float], object],
 ) -> "tuple[Assessment, list[str]]":
-    """Return (what a model is worth, hints). rules: of alarms. factors: on all bounds."""
-    from jaxbound.cli.window import stated_model, window_relations
+    """Return (the counts of a model, hints).
+
+    Args:
+        model: its path, and itself. rules: of alarms. factors: on all bounds.
+    """
+    from jaxbound.cli.window import window_relations
     from jaxbound.diagnosis.hints import outgrown
     from jaxbound.recordings.read import read
     from jaxbound.studies.assessment.assessment import FACTORS, assess
 
-    stated = stated_model(path, args.recording, ask)
+    path, stated = model
     files = [*args.healthy, *args.faulty]
+    # other detectors depend on no model: once, beside the first one, will do
     training: list[Path] = []
     if with_peers:
         training = args.peers
@@ -184,6 +190,7 @@ def _assessed(
     labels = []
     for number, (file, recording) in enumerate(zip(args.faulty, faulty, strict=True)):
         labels.append(_labels(args.labels, number, file, stated, recording))
+    # a horizon that no recording fills is refused by name, before anything is tested
     longest = max(recording.samples for recording in recordings[: len(files)])
     _, relations = window_relations(stated, ask, "every recording", longest, step)
     assessment = assess(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import FORCE, JSON, Options, reading
-from jaxbound.cli.terminal import OK, Refused, door, progress_bars, some_device
+from jaxbound.cli.terminal import OK, Refused, door, hushed, progress_bars, some_device
 from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.studies.identification.signal_choice import products
 
     refuse_targets({"--out": args.out, "--plot": args.plot}, args.data, args.force)
-    with door(), progress_bars(("read", "fit")) as step:
+    with door(), hushed(), progress_bars(("read", "fit")) as step:
         file, fields = _recipe(args.recipe or {})
         recipe = recipe_of(file, fields)
         signals, units, name = _signals(args, file)

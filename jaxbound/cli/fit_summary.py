@@ -158,6 +158,9 @@ class FitConclusion(Conclusion):
         yield from _tried_signals(model)
         yield from _tried_tests(model)
         yield from _left_out(check, self.files)
+        if model.extrapolation:
+            why = model.provenance["extrapolation"]
+            yield "outside training", f"bounds are {float(model.extrapolation):.3g} times as wide, {why}"
         yield from _follows(check)
         yield from disturbance_rows(model)
         if not check.tests:  # else lags were tried
@@ -320,7 +323,7 @@ def promise(factor: float, count: int) -> str:
     if not count:
         return text
     return (
-        f"{text}; of recordings like them one in {count + 1} may still ask for more, of more recordings fewer"
+        f"{text}; of recordings like them one in {count + 1} may still ask for more, by more recordings fewer"
     )
 
 

@@ -95,7 +95,8 @@ def reading(default: str = "that of the model") -> dict[str, str]:
         "within each such interval of the clock, in ms, s, min, h or d; default: "
         f"{default}); and how they are written, beside [recording] of the model file, like "
         "header=3,decimal=comma: header (row), skip (rows), comment, delimiter, decimal, thousands, "
-        "encoding; time (column), time_format, time_unit, zone; missing, on, off (words); hold, equal "
+        "encoding; time (column), time_format, time_unit, zone; missing, on, off (words); hold, equal, "
+        "long (columns of tags and of values) "
         "(default: found by looking)"
     }
 
@@ -174,6 +175,7 @@ def whole_number(least: int = 0, most: int = LARGEST) -> Callable[[str], int]:
     """Return a reader of whole numbers between two."""
 
     def read(text: str) -> int:
+        # int() of a million digits takes minutes
         is_long = len(text) >= DIGITS
         if not _is_whole(text) or (not is_long and int(text) < least):
             raise ArgumentTypeError(f"needs a whole number >= {least}, not {text[:40]!r}")
@@ -194,6 +196,13 @@ def some_of(k: str, example: str) -> Callable[[str], tuple[int, int]]:
         return int(first), int(n)
 
     return read
+
+
+def rule(text: str) -> str:
+    """Return k/n, or the word for the plain rule, as it is written."""
+    if text != "plain":
+        some_of("k", "3/5")(text)
+    return text
 
 
 def share(text: str) -> float:

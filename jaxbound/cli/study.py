@@ -113,6 +113,7 @@ def _fault_text(text: str) -> str:
         ('Q1=Heater, left:bias', 'AHU: Supply:gain', 'a, b')
     """
     signal, colon, kind = text.rpartition(":")
+    # the whole text is quoted: a fault by its name, colons and all
     if not colon or unquoted(text) != text:
         return unquoted(text)
     return f"{unquoted(signal)}:{kind}"
@@ -138,6 +139,7 @@ class _Announced:
         then, done = self.first
         if self.is_said or share <= done:
             return
+        # by what came behind the first part, in which programs were compiled
         left = (1 - share) * (now - then) / (share - done)
         self.is_said = share > done + 0.02 or now - then > 1
         if self.is_said and left > PATIENCE:
@@ -205,10 +207,12 @@ USUAL = {"samples": "200", "at": "uniform", "hold": "20"}
 
 def _scenario(said: Mapping[str, str]) -> dict[str, Any]:
     """Return the keywords of `study` that --scenario says."""
+    from jaxbound.models.filevalues import known_fields  # imports what a help does not wait for
+
     scenario: dict[str, Any] = {}
+    with door():
+        known_fields("--scenario", dict(said), tuple(SCENARIO))
     for name, text in {**USUAL, **said}.items():
-        if name not in SCENARIO:
-            raise Refused(f"--scenario has no field {name!r}: its fields are {', '.join(SCENARIO)}")
         try:
             scenario[name] = SCENARIO[name](text)
         except ArgumentTypeError as e:

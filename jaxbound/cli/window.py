@@ -75,6 +75,7 @@ def asked_test(args: argparse.Namespace, *more: str, only: Sequence[str] = (), c
     for field in ("margins", "outside"):
         if field in test and not claims:
             raise Refused(f"--test: {field} is for detect and fleet, leave it out")
+    # the command line speaks of windows, the library of the joint test
     called, name = WINDOWS
     if test.get("method") == called:
         test["method"] = name
@@ -117,10 +118,15 @@ def stated_model(path: Path | str, recording: Mapping[str, str] | None, ask: Ask
         if recording:
             model = model.replace(columns=with_format(model.columns, recording))
     except ValueError as e:
-        every = (recording or {}).get("every")
-        remedy = f": fit a model with --recording every={every}" if "dt =" in str(e) else ""
-        raise ValueError(f"{path}: {e}{remedy}") from None
+        raise ValueError(f"{path}: {e}{_other_every(recording)}") from None
     return model
+
+
+def _other_every(recording: Mapping[str, str] | None) -> str:
+    """Return the end of a sentence on means over another interval than the model's."""
+    if not recording or "every" not in recording:
+        return ""
+    return f": fit a model with --recording every={recording['every']}"
 
 
 def window_relations(

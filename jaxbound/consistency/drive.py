@@ -108,6 +108,7 @@ def _folded(observer: Observer[Any], given: Recording) -> Verdicts:
         )
         return stacked
     begins = length * np.arange(math.prod(lead))
+    # the first sample of each recording follows nothing
     starts = (np.concatenate([[0], given.starts]) + begins[:, None]).ravel()
     excluded = given.excluded
     if excluded is not None:
@@ -249,9 +250,12 @@ def _decided(
 
 
 def raw_outputs(test: WindowTest, u: Array, y: Array, starts: np.ndarray) -> list[np.ndarray]:
-    """Return the `outputs` (..., T) of a test, before a FAULT is confirmed; arguments as of `windows`."""
+    """Return the `outputs` (..., T) of a test, without `columns`, before a FAULT is confirmed; arguments as
+    of `windows`.
+    """
     flat_u, flat_y = end_to_end(u), end_to_end(y)
-    return _filled(test, flat_u, flat_y, y.shape[:-1], starts, reporter(None), test.block)
+    outs = _filled(test, flat_u, flat_y, y.shape[:-1], starts, reporter(None), test.block)
+    return outs[: len(outs) - len(test.columns)]
 
 
 def _filled(
@@ -290,6 +294,7 @@ def _contradicted(
         size = max(size, AGAIN)
     for first in range(0, len(starts), size):
         chosen = slice(first, first + size)
+        # each window by itself, a recording of its own: seams between them are no matter
         at = starts[chosen, None] + np.arange(test.horizon + 1)
         # A primitive of a newer jax, which NumPy does not know, confirms nothing.
         with outside_xla(), contextlib.suppress(NotImplementedError):
@@ -503,6 +508,7 @@ class _Gathering:
         groups = [starts[i : i + together] for i in range(0, len(starts), together)]
         workers = len(devices)
         if test.threads:  # where the host waits, others use the cores
+            # where devices are many each has threads of its own already
             workers = max(2, CORES // len(devices))
         elif test.sharded:
             workers = 1

@@ -244,6 +244,7 @@ class Monitor:
         early = first_in_numpy(int(state.samples), count, weight, test.kind)
         verdict = self._judge(all_u, all_y, broken, first, first + early)
         follows = self._follows(own, begun, state)
+        # a window needs its last samples only
         keep = len(all_y) - s
         u, y = all_u[keep:].copy(), all_y[keep:].copy()
         after = MonitorState(u, y, np.int64(follows), state.samples + count, np.float64(last))

@@ -55,7 +55,7 @@ class Result:
             single relation).
         margin: (..., T), 1 - t with t the common factor on all half-widths at which the window just becomes
             consistent; t = 3: the bounds would have to be three times as wide. For method "box" of the worst
-            residual alone. NaN where MISSING.
+            residual alone. Of a window outside of training of the bounds there. NaN where MISSING.
         method, relations: as given to `detect`.
         u, y: the recording as it was tested.
         index: the index of the DataFrame that y came from, or None.

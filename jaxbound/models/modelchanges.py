@@ -26,6 +26,7 @@ def with_changes(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
         if key in (*READ_BY, TABLE, "test"):
             raise ValueError(f"{key} is for the whole file: a recording is read once for all tests")
         if key == "horizon":
+            # a window is said by either: the other of the file would contradict it
             changed.pop("lags", None)
         if key == "lags":
             changed.pop("horizon", None)

@@ -217,6 +217,7 @@ def _stated(model: LinearSystem) -> dict[str, list[Table]]:
     tables["disturbances"] = [{"bound": b, "averages": _averages(model, f"w{j}")} for j, b in disturbances]
     tables["uncertainty"] = [dict(vars(parameter)) for parameter in model.uncertainties]
     for table in tables["uncertainty"]:
+        # what is usual is not written: a file shows what somebody stated
         if table["varying"]:
             del table["varying"]
         if table["between"] == (-1, 1):
@@ -322,6 +323,7 @@ def _read_entry(entry: Entry, table: object) -> Table:
 def _refuse_half_of_a_pair(tables: Mapping[str, list[Table]]) -> None:
     """Raise ValueError where G stands without bounds of disturbances, or D_v without F."""
     (matrices,) = tables["matrices"]
+    # either half alone would silently drop the disturbance
     if ("G" in matrices) != bool(tables["disturbances"]):
         half = "the blocks are" if "G" in matrices else "G is"
         raise ValueError(
@@ -352,6 +354,7 @@ def _of_signals(tables: Mapping[str, list[Table]]) -> dict[str, Any]:
         arguments["times"] = {}
         for i, bound in enumerate(arguments["noise"]):
             if isinstance(bound, tuple):
+                # a bound with its factor is one field of the file, and two arguments of a model
                 arguments["noise"][i], arguments["times"][outputs[i]["name"]] = bound
     return arguments
 

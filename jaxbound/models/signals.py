@@ -82,6 +82,7 @@ def model_signals(
     output_names = named("outputs", outputs, p, "y")
     state_names = named("states", states, n, "x")
     recorded = input_names + output_names
+    # states may be called like outputs, which they often are
     twice = sorted({x for x in recorded if recorded.count(x) > 1})
     if twice:
         raise ValueError(f"a signal name may stand for one signal only: {listed(twice)} is used twice")

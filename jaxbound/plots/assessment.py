@@ -9,6 +9,7 @@ import numpy as np
 from jaxbound.plots.canvas import FAULTY, GRID, INK, LINES, canvas, style
 from jaxbound.plots.plot import plot
 from jaxbound.studies.assessment.assessment import Assessment, Marks
+from jaxbound.studies.assessment.scores import rule_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +30,7 @@ def plot_assessment(res: Assessment) -> "Figure":
         for number, peer in enumerate(res.peers):
             _draw(ax, peer, LINES[1 + number % (len(LINES) - 1)], 1.2)
         _draw(ax, res.marks, INK, 2.0)
-        ax.set_title(f"Alarms by the rule {res.rules[0]}; marks: bounds and thresholds as they are")
+        ax.set_title(f"Alarms by the rule {rule_text(res.score)}; marks: bounds and thresholds as they are")
         ax.set(xlabel="healthy windows in alarm", ylabel="faulty windows in alarm")
         ax.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
         ax.grid(color=GRID, lw=0.6)

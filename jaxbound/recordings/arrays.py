@@ -262,7 +262,7 @@ def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, np.ndarra
                 noted = noted_numbers(frame[column].tolist(), how)
                 if noted is not None:
                     numbers, cells = noted[0], cells.without(cells.words)
-                    hints.append(f"column {column!r} holds numbers like {noted[1]}")
+                    hints.append(f"column {column!r} is read as written, like {noted[1]}")
                 odd[column] = cells
             cleaned[name] = cleaned[name].assign(**{column: numbers})
     condition, excluded, row = _condition(model), None, "row {}".format

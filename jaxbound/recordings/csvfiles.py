@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.columns import Arrow, to_arrow, valid
 from jaxbound.recordings.counting import read_numbers
 from jaxbound.recordings.csvlines import lines_of
@@ -29,13 +28,15 @@ from jaxbound.recordings.csvtext import (
     is_value,
     layout_of,
 )
+from jaxbound.recordings.hold import DEADBAND, grid_of, held
 from jaxbound.recordings.linetext import Cells, LineReader, Opened, reader_of, refuse_infinite
+from jaxbound.recordings.longformat import pivoted
 from jaxbound.recordings.oddcells import error_hints, no_number, refuse_odd, thousands, unsaid_hints
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import RecordingFormat, format_of
 from jaxbound.recordings.seams import period_of, rows_apart
 from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
-from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.signals import SignalModel, Signals
 from jaxbound.recordings.source import NUMBER, TEXT, WORDS, Outline, Progress, Source, with_hints
 from jaxbound.recordings.thousands import all_grouped, in_doubt, may_be_grouped
 from jaxbound.recordings.timestamps import order_of, parse_stamps
@@ -80,7 +81,7 @@ class CsvFile(Source):
     @classmethod
     def outline(cls, data: object, how: RecordingFormat) -> Outline:
         """Return how the file is written: its columns by their first cells."""
-        opened, head = _opened(Path(str(data)), how)
+        opened, head, how = _wide(Path(str(data)), Signals((), (), {}), how)
         layout = _likely_layout(head, how)
         with opened() as file:
             lines = list(islice(lines_of(file), layout.skip, layout.skip + SHOWN))
@@ -107,8 +108,7 @@ class CsvFile(Source):
 
 
 def _recording_of(path: Path, model: SignalModel, report: Progress) -> Recording:
-    how = format_of(model)
-    opened, head = _opened(path, how)
+    opened, head, how = _wide(path, model, format_of(model))
     try:
         reader = reader_of(head, model, how)
     except ValueError as e:
@@ -146,6 +146,15 @@ def _opened(path: Path, how: RecordingFormat) -> tuple[Opened, Head]:
     return partial(FileIO, path), head_of(path, None, encoding)
 
 
+def _wide(path: Path, model: SignalModel, how: RecordingFormat) -> tuple[Opened, Head, RecordingFormat]:
+    """Return (opener of the bytes of a file, its first lines, how they are written), with a column a tag."""
+    opened, head = _opened(path, how)
+    if not how.long:
+        return opened, head, how
+    data = pivoted(opened, head, model, how)
+    return partial(BytesIO, data), head_of(path, data[:ENOUGH], "utf-8"), how.wide
+
+
 def _header_hint(head: Head, how: RecordingFormat) -> str:
     """Return the end of a sentence on a column that is not there, see `above_header`."""
     try:
@@ -164,15 +173,16 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
     written = _written_times(layout, plan, cells)
     _refuse_empty(layout, plan, cells)
     time, stamps, hint = _times_of(reader, written, cells, model)
-    if layout.how.equal and written is not None:
-        rows = _counting_rows(reader, time)
+    rows = _counting_rows(reader, time, cells)
+    if written is not None and not rows.all():
         cells, time, written = cells.kept(rows), time[rows], written.filter(to_arrow(rows))
-        stamps = None if stamps is None else stamps[rows]
+        if stamps is not None:
+            stamps = stamps[rows]
+    if layout.how.hold and written is not None:
+        reader.refuse(cells, None, layout.row)
+        cells, time, stamps, written = _held(reader, cells, time, stamps, model)
+        hint = " ".join([hint, DEADBAND.format(hold=layout.how.hold)]).strip()
     columns = dict(cells.columns)
-    if layout.how.hold:
-        columns |= {
-            name: _held(columns[name], time, layout.how.hold) for name in plan.numbers if name in columns
-        }
     if plan.time is not None:  # an expression may compare it with a date
         columns.setdefault(plan.time, time if stamps is None else stamps)
     samples = plan.samples(columns, cells.rows, (time - time[0], stamps))
@@ -209,27 +219,46 @@ def _taken(
     return RecordingFormat.of({k: x for k, x in taken.items() if x} | how.stated)
 
 
-def _counting_rows(reader: LineReader, time: np.ndarray) -> np.ndarray:
-    """Return (N,) bool: of rows of one time that which is stated to count; the others are noted."""
+def _counting_rows(reader: LineReader, time: np.ndarray, cells: Cells) -> np.ndarray:
+    """Return (N,) bool: of rows of one time that which is stated to count, else all that do not repeat the
+    row before; the others are noted.
+    """
     layout = reader.layout
     is_same = np.diff(time) == 0
     rows = np.ones(len(time), bool)
-    if layout.how.equal == "first":
-        rows[1:] = ~is_same
-    else:
+    if not is_same.any():
+        return rows
+    reason = "have the time of another row"
+    if layout.how.equal == "last":
         rows[:-1] = ~is_same
+    else:
+        rows[1:] = ~is_same
+    if not layout.how.equal:
+        rows[1:] |= ~cells.repeated
+        reason = "repeat the row before"
     gone = [layout.number(int(k)) for k in np.flatnonzero(~rows)]
     if gone:
-        reader.left["have the time of another row"] = gone
+        reader.left[reason] = gone
         layout.blank[:] = sorted([*layout.blank, *gone])
     return rows
 
 
-def _held(x: np.ndarray, time: np.ndarray, hold: str) -> np.ndarray:
-    """Return numbers (N,) in which the last one stands for blank cells behind it, for so long."""
-    last = np.maximum.accumulate(np.where(np.isnan(x), 0, np.arange(len(x))))
-    fresh = np.abs(time - time[last]) <= seconds_of(hold)
-    return np.where(np.isnan(x) & fresh, x[last], x)
+def _held(
+    reader: LineReader, cells: Cells, time: np.ndarray, stamps: np.ndarray | None, model: SignalModel
+) -> tuple[Cells, np.ndarray, np.ndarray | None, Arrow]:
+    """Return (cells, time, stamps, written) in which the last value stands for as long as is stated: at the
+    times of the rows, or, where dt is known, dt apart.
+    """
+    if (np.diff(time) < 0).any():
+        raise ValueError("rows that go back in time have no last value that could be held: sort them by time")
+    grid = time
+    if model.dt is not None and getattr(model, "regular", True):
+        grid = grid_of(time, model.dt)
+    columns = held(cells.columns, time, grid, reader.layout.how.hold)
+    if stamps is not None:
+        stamps = stamps[0] + np.round((grid - time[0]) * 1e9).astype("timedelta64[ns]")
+    written = to_arrow(grid if stamps is None else stamps)
+    return Cells(columns, None, {}, len(grid), cells.decimal), grid, stamps, written
 
 
 _FileTimes = tuple[np.ndarray, np.ndarray | None, str]

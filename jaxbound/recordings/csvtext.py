@@ -9,7 +9,7 @@ from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -149,7 +149,7 @@ def head_of(path: Path, head: bytes | None = None, encoding: str = "") -> Head:
         hints = ("the file is not in UTF-8: it is read as Windows-1252, which matters for column names only",)
     # enough of them; splitting all takes longer than parsing
     lines = re.split(r"\r*\n|\r", text, maxsplit=1000)
-    if not any(line.strip() for line in lines):
+    if not any(map(str.strip, lines)):
         raise ValueError(f"the file begins with {len(lines)} blank lines: a header is needed")
     return Head(path, lines, encoding, hints)
 
@@ -181,9 +181,13 @@ def layout_of(head: Head, how: RecordingFormat = UNSTATED, header: int | None = 
     if at >= len(lines):
         raise ValueError(f"the names of the columns are said to stand in row {at + 1}: there is none")
     delimiter = delimiter or delimiter_of(lines[at])
-    names = [name.strip() for name in cells_of(lines[at], delimiter)]
-    numbers = [i for i, line in enumerate(lines[at + 1 : at + 200], at + 1) if line.strip()]
-    data = [cells_of(lines[i], delimiter) for i in numbers]
+    names = list(map(str.strip, cells_of(lines[at], delimiter)))
+    numbers: list[int] = []  # of the lines of data, from 1
+    data: list[list[str]] = []
+    for number, line in enumerate(lines[at + 1 : at + 200], at + 2):
+        if line.strip():
+            numbers.append(number)
+            data.append(cells_of(line, delimiter))
     decimal = how.decimal or _decimal_of(data, delimiter)
     if all(is_number(name, decimal) for name in names):
         instead = ", ".join(["time", *"abcdefgh"[: len(names) - 1]])
@@ -196,10 +200,10 @@ def layout_of(head: Head, how: RecordingFormat = UNSTATED, header: int | None = 
     hints = list(head.hints)
     begin, skip = _first_of_data(data[:FURTHER], decimal, how), at + 1
     if begin:
-        rows = listed([str(i + 1) for i in numbers[:begin]], str)
+        rows = listed(map(str, numbers[:begin]), str)
         hold = "row {} holds" if begin == 1 else "rows {} hold"
         hints.append(f"{hold.format(rows)} no samples but stand below the names of the columns: left out")
-        skip = numbers[begin]
+        skip = numbers[begin] - 1
     if all(len(cells) == len(names) + 1 and not cells[-1].strip() for cells in data[begin:]):
         hints.append("each row has a delimiter more than the names of the columns, and nothing behind it")
         names.append("")
@@ -215,7 +219,7 @@ def layout_of(head: Head, how: RecordingFormat = UNSTATED, header: int | None = 
         hints,
         header=at + 1,
         how=how,
-        above=frozenset(line.strip() for line in lines[:skip] if line.strip()),
+        above=frozenset(map(str.strip, lines[:skip])) - {""},
     )
 
 
@@ -224,16 +228,16 @@ def _first_of_data(rows: Sequence[Sequence[str]], decimal: str, how: RecordingFo
     numbers and times further below, units and the like hold words, or 1 where the first of them is a word.
     """
     for number, row in enumerate(rows[:-1]):
-        cells = [cell.strip() for cell in row]
+        cells = list(map(str.strip, row))
         if any(cell != "1" and is_value(cell, decimal, how) for cell in cells):
             return number
-        valued = []  # of this row, in columns that hold values below
-        for j, cell in enumerate(cells):
-            column = [other[j] for other in rows[number + 1 :] if j < len(other)]
-            if 2 * sum(is_value(x, decimal, how) for x in column) > len(column):
+        below = list(zip_longest(*rows[number + 1 :], fillvalue=""))
+        valued = []  # cells of this row, in columns that hold values below
+        for cell, column in zip(cells, below, strict=False):
+            values = [is_value(other, decimal, how) for other in column]
+            if values[-1] or 2 * sum(values) > len(values):
                 valued.append(cell)
-        words = [cell for cell in valued if cell not in ("1", *MISSING_CELLS)]
-        if not words or valued[0] == "1":
+        if not {*valued} - {"1", *MISSING_CELLS} or valued[0] == "1":
             return number
     return max(len(rows) - 1, 0)
 

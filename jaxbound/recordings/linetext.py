@@ -61,6 +61,18 @@ class Cells(NamedTuple):
     rows: int
     decimal: str = ""
 
+    @property
+    def repeated(self) -> np.ndarray:
+        """(N - 1,) bool: whether each row but the first holds what the row before it does."""
+        same = np.ones(max(self.rows - 1, 0), bool)
+        for x in self.columns.values():
+            missing = x != x  # NaN; a text is what it is
+            same &= (x[1:] == x[:-1]) | (missing[1:] & missing[:-1])
+        for cells in self.odd.values():  # words are not compared
+            same[np.maximum(cells.rows - 1, 0)] = False
+            same[np.minimum(cells.rows, len(same) - 1)] = False
+        return same
+
     def kept(self, rows: np.ndarray) -> "Cells":
         """Return the cells of some rows, (N,) bool."""
         import pyarrow as pa
@@ -68,8 +80,8 @@ class Cells(NamedTuple):
         places = np.cumsum(rows) - 1
         odd = {}
         for name, words in self.odd.items():
-            left = [k for k, row in enumerate(words.rows.tolist()) if rows[row]]
-            odd[name] = OddCells(places[words.rows[left]], [words.words[k] for k in left])
+            left = words.at(rows[words.rows])
+            odd[name] = OddCells(places[left.rows], left.words)
         columns = {name: x[rows] for name, x in self.columns.items()}
         times = self.times
         if times is not None:
@@ -136,7 +148,7 @@ class LineReader:
                 return self._without_missing(self._cells(table, {}, decimal))
         texts = self.written(opened)
         if texts is None:
-            raise ValueError(self._bad_row(opened))
+            raise ValueError(self.trouble_in(opened))
         readings = [self._numbers_among(texts, sign) for sign in self.layout.decimals]
         counts = [sum(len(odd.rows) for odd in cells.odd.values()) for cells in readings]
         best = counts.index(min(counts))
@@ -190,9 +202,10 @@ class LineReader:
         if not text.strip(layout.delimiter + ' "'):
             return "hold no cell"
         cells = layout.cells(line)
-        times = [self.index[name] for name in (self.plan.day, self.plan.time) if name is not None]
-        if len(cells) == len(layout.names) and any(cells[i].strip() in BLANK_CELLS for i in times):
-            return "hold no time"
+        for name in (self.plan.day, self.plan.time):
+            is_whole = name is not None and len(cells) == len(layout.names)
+            if is_whole and cells[self.index[str(name)]].strip() in BLANK_CELLS:
+                return "hold no time"
         return ""
 
     def sifted(self, opened: Opened) -> bytes | None:
@@ -206,14 +219,16 @@ class LineReader:
         rows, left = [], self.left
         for number in range(self.layout.skip, len(lines)):
             line = lines[number]
-            reason = "are left out as stated" if number + 1 in skipped else self.aside(line)
+            reason = self.aside(line)
+            if number + 1 in skipped:
+                reason = "are left out as stated"
             if reason:
                 left.setdefault(reason, []).append(number + 1)
             elif not self.layout.is_blank(line):
-                rows.append(number)
+                rows.append(number + 1)
         footer = self._footer(lines, rows)
         if footer:
-            left["hold no sample, behind the last"] = [number + 1 for number in footer]
+            left["hold no sample, behind the last"] = footer
         untimed = left.get("hold no time", ())
         if not left or 2 * len(untimed) > len(rows) + len(untimed):
             return None
@@ -223,10 +238,10 @@ class LineReader:
         return b"\n".join([*lines, tail])
 
     def _footer(self, lines: Sequence[bytes], rows: Sequence[int]) -> list[int]:
-        """Return the places of lines, behind all rows, that hold no sample; [] where there are many."""
+        """Return the numbers of lines, behind all rows, that hold no sample; [] where there are many."""
         behind: list[int] = []
         for number in reversed(rows):
-            if self._is_sample(lines[number]):
+            if self._is_sample(lines[number - 1]):
                 return behind[::-1]
             behind.append(number)
             if len(behind) > FURTHER:
@@ -255,7 +270,9 @@ class LineReader:
     def time_name(self) -> str:
         """The name of the column of times, behind which the unit stands that is stated."""
         unit = self.layout.how.time_unit
-        return f"{self.plan.time} [{unit}]" if unit else str(self.plan.time)
+        if not unit:
+            return str(self.plan.time)
+        return f"{self.plan.time} [{unit}]"
 
     @property
     def left_hints(self) -> list[str]:
@@ -341,7 +358,7 @@ class LineReader:
                 bad = [k for k, x in enumerate(numbers) if x is None]
                 if bad:
                     odd[name] = OddCells(np.array(bad), [rows[k][i].strip() for k in bad])
-        return Cells(columns, self._time_of(times), odd, len(rows))
+        return Cells(columns, self.joined_time(times), odd, len(rows))
 
     def _numbers_in(self, row: Sequence[str]) -> dict[str, float | None]:
         """Return {column: its number in a row, NaN of a blank cell, None where it holds none}."""
@@ -445,9 +462,9 @@ class LineReader:
                 columns[name] = np.array(table[name].to_pylist(), object)
             elif name not in self.texts:
                 columns[name] = from_arrow(table[name])
-        return Cells(columns, self._time_of(table), odd, len(next(iter(table.values()))), decimal)
+        return Cells(columns, self.joined_time(table), odd, len(next(iter(table.values()))), decimal)
 
-    def _time_of(self, texts: "Mapping[str, pa.Array]") -> "pa.Array | None":
+    def joined_time(self, texts: "Mapping[str, pa.Array]") -> "pa.Array | None":
         """Return the time of columns of texts; None where it is a column of numbers or none."""
         if not self.is_text:
             return None
@@ -500,7 +517,7 @@ class LineReader:
         if between and self.plan.time is None:
             raise ValueError(f"row {between[0]} {BLANK}")
 
-    def _bad_row(self, opened: Opened) -> str:
+    def trouble_in(self, opened: Opened) -> str:
         """Return a sentence on the first row that is none, or has a cell that is no number."""
         for number, line in self._numbered(opened):
             trouble = self.trouble(line)
@@ -538,7 +555,7 @@ def reader_of(head: Head, model: SignalModel, how: RecordingFormat) -> LineReade
                 reader = LineReader(layout_of(head, how, number), model)
             except ValueError:
                 continue
-            above = sum(1 for other in head.lines[: number - 1] if other.strip())
+            above = len(list(filter(str.strip, head.lines[: number - 1])))
             rows = f"{above} row{'s' * (above != 1)}"
             if above:
                 reader.layout.hints.append(

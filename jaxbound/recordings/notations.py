@@ -27,25 +27,28 @@ LONGEST = 12  # letters of a unit
 class Notation:
     """How the cells of a column are written.
 
-    Fields: decimal, thousands: signs; unit: behind each number; truths: words in lower case and their values.
+    Fields: decimal, thousands: signs; unit: behind each number; on, off: words for 1 and 0 in lower case.
     """
 
     decimal: str = "."
     thousands: str = ""
     unit: str = ""
-    truths: tuple[tuple[str, float], ...] = ()
+    on: tuple[str, ...] = ()
+    off: tuple[str, ...] = ()
 
     def numbers(self, cells: Arrow) -> tuple[np.ndarray, np.ndarray]:
         """Return (values (N,), NaN where there is none; whether each cell is null or holds one)."""
         import pyarrow as pa
         import pyarrow.compute as pc
 
-        if self.truths:
+        none = _mask(pc.is_null(cells))
+        if self.on:
             words = pc.utf8_lower(cells)
-            values = np.full(len(cells), np.nan)
-            for word, value in self.truths:
-                values[_mask(pc.equal(words, word))] = value
-            return values, ~np.isnan(values) | _mask(pc.is_null(cells))
+            is_on, is_off = (
+                _mask(pc.is_in(words, pa.array(self.on))),
+                _mask(pc.is_in(words, pa.array(self.off))),
+            )
+            return np.where(is_on, 1.0, np.where(is_off, 0.0, np.nan)), is_on | is_off | none
         plain = _plain(cells)
         if self.unit:
             bare = pc.utf8_rtrim_whitespace(pc.replace_substring_regex(plain, re.escape(self.unit) + "$", ""))
@@ -54,10 +57,8 @@ class Notation:
         if self.thousands:
             plain = pc.replace_substring(plain, self.thousands, "")
         plain = pc.utf8_ltrim(pc.replace_substring(plain, self.decimal, "."), "+")
-        values = from_arrow(
-            pc.if_else(pa.array(fits), plain, pa.scalar(None, pa.string())).cast(pa.float64())
-        )
-        return values, fits | _mask(pc.is_null(cells))
+        numbers = pc.if_else(pa.array(fits), plain, pa.scalar(None, pa.string()))
+        return from_arrow(numbers.cast(pa.float64())), fits | none
 
     @property
     def pattern(self) -> str:
@@ -71,25 +72,24 @@ class Notation:
     @property
     def words(self) -> str:
         """The notation in words."""
-        if self.truths:
-            return ", ".join(f"{word} is {value:g}" for word, value in self.truths)
-        said = [f"decimals behind {self.decimal!r}"]
+        if self.on:
+            return f"{', '.join(self.on)} is 1, {', '.join(self.off)} is 0"
+        words = f"decimals behind {self.decimal!r}"
         if self.thousands:
-            said.append(f"{self.thousands!r} for thousands")
+            words += f", {self.thousands!r} for thousands"
         if self.unit:
-            said.append(f"the unit {self.unit!r}")
-        return ", ".join(said)
+            words += f", the unit {self.unit!r}"
+        return words
 
     @property
     def stated(self) -> Mapping[str, object]:
         """The fields of a RecordingFormat that say so, without the unit, which every cell says."""
-        if self.truths:
-            on, off = ([word for word, x in self.truths if x == value] for value in (1, 0))
-            return {"on": on, "off": off}
-        if self.thousands or self.decimal != ".":
-            return {
-                name: sign for name, sign in vars(self).items() if name in ("decimal", "thousands") and sign
-            }
+        if self.on:
+            return {"on": self.on, "off": self.off}
+        if self.thousands:
+            return {"decimal": self.decimal, "thousands": self.thousands}
+        if self.decimal != ".":
+            return {"decimal": self.decimal}
         return {}
 
 
@@ -102,10 +102,10 @@ def notation_of(cells: Arrow, decimals: Sequence[str], how: RecordingFormat) -> 
     """
     import pyarrow.compute as pc
 
-    words = pc.unique(pc.utf8_lower(cells)).slice(0, 9).to_pylist()
-    for truths in _truths(how):
-        if words and set(words) <= set(dict(truths)):
-            return Notation(truths=truths)
+    words = {*pc.unique(pc.utf8_lower(cells)).slice(0, 99).to_pylist()}
+    for on, off in _truths(how):
+        if words and words <= {*on, *off}:
+            return Notation(on=on, off=off)
     plain = _plain(cells)
     parts = pc.extract_regex(plain, SUFFIX)
     if not len(plain) or parts.null_count:
@@ -119,12 +119,12 @@ def notation_of(cells: Arrow, decimals: Sequence[str], how: RecordingFormat) -> 
         used = not thousands or _mask(pc.match_substring(plain, thousands)).any()
         if used and notation.numbers(cells)[1].all():
             found.append(notation)
-    readings = {notation.numbers(cells)[0].tobytes(): notation for notation in reversed(found)}
+    readings = {notation.numbers(cells)[0].tobytes() for notation in found}
     if len(readings) == 1:
         return found[0]
-    likely = [n for n in found if not n.thousands and n.decimal == decimals[0]]
-    if likely and (len(decimals) == 1 or decimals[0] == ","):  # which other cells of the file show
-        return likely[0]
+    likely = Notation(decimals[0], "", units[0])
+    if likely in found and (len(decimals) == 1 or decimals[0] == ","):  # which other cells of the file show
+        return likely
     return None
 
 
@@ -137,10 +137,11 @@ def noted_numbers(cells: Sequence[object], how: RecordingFormat) -> tuple[np.nda
 
     texts: list[str | None] = []
     for cell in cells:
-        if isinstance(cell, str):
-            texts.append(None if cell.strip() in how.missing else cell.strip())
-        elif cell is None or cell != cell:
+        is_missing = cell is None or cell != cell or str(cell).strip() in how.missing
+        if is_missing:
             texts.append(None)
+        elif isinstance(cell, str):
+            texts.append(cell.strip())
         else:
             return None
     column = pa.array(texts, pa.string())
@@ -148,22 +149,24 @@ def noted_numbers(cells: Sequence[object], how: RecordingFormat) -> tuple[np.nda
     notation = notation_of(known, (".",), how)
     if notation is None:
         return None
-    return notation.numbers(column)[0], f"{known[0].as_py()!r}, read so: {notation.words}"
+    return notation.numbers(column)[0], f"{known[0].as_py()}: {notation.words}"
 
 
-def _truths(how: RecordingFormat) -> Iterable[tuple[tuple[str, float], ...]]:
-    """Yield words and their values: what is stated, and usual pairs."""
+def _truths(how: RecordingFormat) -> Iterable[tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Yield words for 1 and for 0: what is stated, and usual pairs."""
     if how.on:
-        yield (*((w.lower(), 1.0) for w in how.on), *((w.lower(), 0.0) for w in how.off))
+        yield tuple(map(str.lower, how.on)), tuple(map(str.lower, how.off))
     for on, off in TRUTHS.items():
-        yield (on, 1.0), (off, 0.0)
+        yield (on,), (off,)
 
 
 def _signs(how: RecordingFormat) -> list[tuple[str, str]]:
     """Return the signs for decimals and thousands that may be."""
-    signs = [(d, t) for d, t in SIGNS if how.decimal in ("", d) and (not how.thousands or t == how.thousands)]
-    if how.thousands:
-        signs += [(d, "") for d in ".," if d != how.thousands and how.decimal in ("", d)]
+    signs = []
+    for decimal, thousands in SIGNS:
+        may_be = how.decimal in ("", decimal) and how.thousands != decimal
+        if may_be and (not how.thousands or thousands in ("", how.thousands)):
+            signs.append((decimal, thousands))
     return signs
 
 

@@ -5,6 +5,7 @@ first, unless `where` leaves their rows out: those may hold anything.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import compress
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -42,8 +43,11 @@ class OddCells(NamedTuple):
 
     def without(self, missing: Sequence[str]) -> "OddCells":
         """Return those that hold none of some words."""
-        kept = [k for k, word in enumerate(self.words) if word not in missing]
-        return OddCells(self.rows[kept], [self.words[k] for k in kept])
+        return self.at(np.array([word not in missing for word in self.words], bool))
+
+    def at(self, chosen: np.ndarray) -> "OddCells":
+        """Return some of them, (K,) bool."""
+        return OddCells(self.rows[chosen], list(compress(self.words, chosen)))
 
 
 Odd = Mapping[str, OddCells]

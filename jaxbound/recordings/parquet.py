@@ -32,7 +32,7 @@ from jaxbound.recordings.parquetfiles import (
     spans_of,
 )
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.recordingformat import RecordingFormat
+from jaxbound.recordings.recordingformat import RecordingFormat, format_of
 from jaxbound.recordings.seams import period_of, rows_apart
 from jaxbound.recordings.selection import NO_TIME, STAMPS, Wanted, looks_back
 from jaxbound.recordings.signals import SignalModel
@@ -386,6 +386,7 @@ def open_parquet(path: str | PathLike[str], model: SignalModel) -> ParquetSource
     import pyarrow as pa
 
     path = Path(path)
+    format_of(model).refuse_in("Parquet", "hold", "equal", "long")
     files = files_of(path)
     states = tuple(map(_state, files))
     counts, types, dated = _schemas(path, files, model)

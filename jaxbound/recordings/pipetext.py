@@ -63,7 +63,7 @@ class PipeText(Stream):
         taken: Taken | None = None,
     ) -> None:
         super().__init__(model, complain, taken)
-        format_of(model).refuse_in("a pipe", "hold", "equal")
+        format_of(model).refuse_in("a pipe", "hold", "equal", "long")
         self.tail = self.rest = b""  # half a line; half a line of a process before
         self.head: list[bytes] = []  # the header and the first row of data, perhaps a line with the delimiter
         self.reader: LineReader | None = None  # as soon as there is a row of data
@@ -84,6 +84,7 @@ class PipeText(Stream):
         self.replaying = False  # the lines that come are those that a process before had judged
         self.was_broken = False  # behind the last sample of that one
         self.before: dict[str, np.ndarray] = {}  # the last row, where a signal looks back
+        self.digest = np.zeros(1, np.uint64)  # of the last row
         self.shown: list[float] | None = []
         if not self.regular:
             self.shown = None
@@ -295,11 +296,11 @@ class PipeText(Stream):
             return reader.trouble(row)
         if not self.regular and reader.plan.time is None:
             raise ValueError(f"{SOURCE} has no column of times: means over intervals need one")
-        cells = [cell.strip() for cell in layout.cells(row)]
+        cells = list(map(str.strip, layout.cells(row)))
         if how.comment and layout.text(row).startswith(how.comment):
             return ""
         if len(head) < FURTHER and not any(c != "1" and is_value(c, layout.decimal, how) for c in cells):
-            if any(cell not in ("1", *MISSING_CELLS) for cell in cells):
+            if {*cells} - {"1", *MISSING_CELLS}:
                 return ""  # units, perhaps
         self.head, self.reader = head, reader
         if layout.delimiter != "," and not how.decimal and not how.thousands:
@@ -309,10 +310,9 @@ class PipeText(Stream):
 
     def _may_be_above(self, head: list[bytes]) -> bool:
         """Return whether the last of some lines may stand above the header: it is no row of numbers."""
-        cells = [cell for cell in re.split(rb"[;,\t]", head[-1]) if cell.strip()]
-        values = [is_value(cell.decode("latin-1"), ",") for cell in cells]
-        widths = {len(re.split(rb"[;,\t]", line)) for line in (head[-2], head[-1])}
-        return sum(values) < 2 or len(widths) > 1
+        above, last = (re.split(rb"[;,\t]", line) for line in head[-2:])
+        values = sum(is_value(cell.decode("latin-1"), ",") for cell in last)
+        return values < 2 or len(above) != len(last)
 
     def _joined(self, line: bytes) -> bytes | None:
         """Return the first line of a stream that goes on behind half a line: that line, or the whole one.
@@ -453,6 +453,9 @@ class PipeText(Stream):
         if plan.where is None:  # before they tell how the time is counted
             reader.refuse(cells, None, "".format)
         digests = self._digests(cells)
+        again = digests == np.append(self.digest, digests[:-1])
+        if plan.time is not None and again.any():
+            return self._once(rows, again)
         if cells.times is not None:
             times = self._text_times(cells.times)
         elif plan.time is not None:
@@ -474,7 +477,21 @@ class PipeText(Stream):
             if not rows:
                 return piece
         self.taken.add(digests)
+        self.digest = digests[-1:]
         return self._seamed(piece, rows)
+
+    def _once(self, rows: list[Line], again: np.ndarray) -> Recording:
+        """Return the samples of lines without those that say again what the line before says."""
+        left: list[Line] = []
+        for row, is_again in zip(rows, again.tolist(), strict=True):
+            if is_again:
+                self.no_rows += 1
+                self.complain("line", f"line {row[0]} repeats the line before: left out")
+            else:
+                left.append(row)
+        if left:
+            return self._samples(left)
+        return self.numbered(None)[1]
 
     def _samples_behind(self, columns: Mapping[str, np.ndarray], moments: Moments) -> Samples:
         """Return the samples of columns; a rate needs the row before them, too."""

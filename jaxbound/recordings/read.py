@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -74,7 +75,7 @@ def read(path: object, model: Named, progress: Progress | None = None, recording
     """
     report = reporter(progress, "read")
     if recording is not None:
-        model = Formatted(signals_of(model), recording)
+        model = cast(SignalModel, Formatted(signals_of(model), recording))
     return open_source(path, model).read(progress=report)
 
 

@@ -3,10 +3,11 @@
 import codecs
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 from jaxbound.recordings.clockintervals import seconds_of
+from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.units import time_unit
 
 TABLE = "recording"
@@ -32,7 +33,9 @@ class RecordingFormat:
             "Europe/Berlin".
         missing: words and numbers that stand for missing samples. on, off: words for 1 and 0.
         hold: how long a sample stands for blank cells behind it, like "10min", in files that are written when
-            a value changes. equal: the row that counts among those of one time, "first" or "last".
+            a value changes; with dt known samples are that far apart then. equal: the row that counts among
+            those of one time, "first" or "last".
+        long: the columns of tags and of their values in files with a row a tag.
     """
 
     header: int | None = None
@@ -52,6 +55,7 @@ class RecordingFormat:
     off: tuple[str, ...] = ()
     hold: str = ""
     equal: str = ""
+    long: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, given: "Stated") -> "RecordingFormat":
@@ -70,7 +74,9 @@ class RecordingFormat:
         """
         if isinstance(given, RecordingFormat):
             return given
-        table: Any = json.loads(given) if isinstance(given, str) else given or {}
+        table: Any = given or {}
+        if isinstance(given, str):
+            table = json.loads(given)
         stated: dict[str, Any] = {}
         for name, value in table.items():
             if name not in READERS:
@@ -89,8 +95,7 @@ class RecordingFormat:
     @property
     def stated(self) -> dict[str, Any]:
         """The fields that are stated."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: value for name, value in values.items() if value not in (None, "", ())}
+        return {name: value for name, value in vars(self).items() if value not in (None, "", ())}
 
     @property
     def numbers(self) -> tuple[float, ...]:
@@ -108,6 +113,13 @@ class RecordingFormat:
         for name in names:
             if name in self.stated:
                 raise ValueError(f"{name} of {RECORDING} is for CSV files, not for {where}")
+
+    @property
+    def wide(self) -> "RecordingFormat":
+        """The format of the same cells with a column a tag."""
+        if not self.long:
+            return self
+        return replace(self, long=(), header=None, skip=(), comment="", encoding="", equal="")
 
     @property
     def text(self) -> str:
@@ -139,13 +151,14 @@ class Formatted:
     """The signals of a model whose recordings are written in another format than it states.
 
     Args:
-        model: a SignalModel. given: see `RecordingFormat.of`.
+        model: whose signals. given: see `RecordingFormat.of`.
     """
 
-    def __init__(self, model: Any, given: Stated) -> None:
+    def __init__(self, model: SignalModel, given: Stated) -> None:
         self._model, self.columns = model, with_format(model.columns, given)
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
+        """Return an attribute of the model."""
         return getattr(self._model, name)
 
 
@@ -175,9 +188,9 @@ def _text(value: object) -> str:
 def _texts(value: object) -> tuple[str, ...]:
     """Return words or numbers as they are written."""
     if isinstance(value, str):
-        return tuple(word.strip() for word in value.split(",") if word.strip())
+        return tuple(filter(None, map(str.strip, value.split(","))))
     if isinstance(value, Sequence):
-        return tuple(str(word).strip() for word in value)
+        return tuple(map(str.strip, map(str, value)))
     return (str(value),)
 
 
@@ -244,6 +257,14 @@ def _interval(value: object) -> str:
     return str(value)
 
 
+def _two(value: object) -> tuple[str, ...]:
+    """Return two names of columns."""
+    names = _texts(value)
+    if len(names) != 2:
+        raise ValueError(f"must be two columns, of the tags and of the values, not {value!r}")
+    return names
+
+
 def _which(value: object) -> str:
     if value not in EQUAL:
         raise ValueError(f"must be {' or '.join(EQUAL)}, not {value!r}")
@@ -268,5 +289,6 @@ READERS: Mapping[str, Callable[[Any], Any]] = {
     "off": _texts,
     "hold": _interval,
     "equal": _which,
+    "long": _two,
 }
 """{field: reader of its value}."""

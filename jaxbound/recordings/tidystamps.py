@@ -138,14 +138,16 @@ def zoned(stamps: np.ndarray, zones: Arrow) -> np.ndarray:
         ValueError: a zone that is not known, some stamps with and some without one, a time that the clock of
             its zone leaves out.
     """
-    names = list(dict.fromkeys(zones.to_pylist()))
+    import pyarrow.compute as pc
+
+    names = pc.unique(zones).to_pylist()
     if names == [""]:
         return stamps
     if "" in names:
         raise ValueError("some have a zone and others have none")
     found = stamps.copy()
     for name in names:
-        here = np.array([zone == name for zone in zones.to_pylist()])
+        here = _mask(pc.equal(zones, name))
         minutes = _offset(name)
         if minutes is not None:
             found[here] = stamps[here] - np.timedelta64(minutes, "m")
@@ -177,8 +179,7 @@ def localized(stamps: np.ndarray, zone: str) -> np.ndarray:
     first, second = (x.tz_convert(None).to_numpy("datetime64[ns]") for x in (summer, winter))
     found: np.ndarray = first.copy()
     for k in np.flatnonzero(first != second):
-        before = found[k - 1] if k else None
-        if before is not None and first[k] <= before:
+        if k and first[k] <= found[k - 1]:
             found[k] = second[k]
     return found
 
@@ -191,8 +192,7 @@ def _offset(name: str) -> int | None:
     numeric = re.fullmatch(r"(?:UTC|GMT)?([+-])(\d{1,2})(?::?(\d\d))?", name)
     if numeric is None:
         return None
-    minutes = 60 * int(numeric[2]) + int(numeric[3] or 0)
-    return -minutes if numeric[1] == "-" else minutes
+    return int(f"{numeric[1]}1") * (60 * int(numeric[2]) + int(numeric[3] or 0))
 
 
 def _of_year(texts: Arrow) -> tuple[Arrow, np.ndarray]:

@@ -206,12 +206,17 @@ def order_of(cells: "pa.Array", stamps: np.ndarray) -> str:
         swapped = date.replace("%d", "%_").replace("%m", "%d").replace("%_", "%m")
         if date == swapped or swapped not in DATES:
             continue
-        ends = [(cells[k].as_py().strip(), stamps[k]) for k in (0, len(stamps) - 1)]
-        if all(_has_format(x, form) and np.datetime64(datetime.strptime(x, form)) == t for x, t in ends):
+        if _is_read_as(cells[0], form, stamps[0]) and _is_read_as(cells[-1], form, stamps[-1]):
             dates.append(date)
     if len(dates) != 1:
         return ""
     return dates[0]
+
+
+def _is_read_as(cell: "pa.Scalar", form: str, stamp: np.datetime64) -> bool:
+    """Return whether a text has a format, and is this time by it."""
+    text = cell.as_py().strip()
+    return _has_format(text, form) and bool(np.datetime64(datetime.strptime(text, form)) == stamp)
 
 
 def instant_of(time: object) -> float:

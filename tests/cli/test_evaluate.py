@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
-from jaxbound.cli import main
+from jaxbound.cli import main, window
+from jaxbound.models import modelfile
 
 
 @pytest.fixture
@@ -50,8 +51,8 @@ def test_labels_in_a_column_tell_healthy_from_faulty_samples(plant, capsys):
 def test_without_labels_every_sample_is_faulty(plant, capsys):
     found = evaluated(capsys, "--faulty", "leak.csv", "--alarm", "1/1", "2/2")
     score = at_one(found["models"]["plant.toml"]["scores"])
-    assert (score["healthy_windows"], score["faulty_windows"], score["delays"]) == (0, 39, [20])
-    assert at_one(found["models"]["plant.toml"]["scores"], "2/2")["delays"] == [21]
+    assert (score["healthy_windows"], score["faulty_windows"], score["delays"]) == (0, 39, [19])
+    assert at_one(found["models"]["plant.toml"]["scores"], "2/2")["delays"] == [20]
 
 
 def test_a_file_of_labels_names_the_signal(plant, capsys):
@@ -113,3 +114,22 @@ def test_what_cannot_be_evaluated_is_a_sentence_and_writes_nothing(plant, capsys
     said = capsys.readouterr().err
     assert sentence in said and len(said.strip().splitlines()) == 1
     assert sorted(p.name for p in plant.iterdir()) == before
+
+
+def test_the_model_is_read_once(plant, capsys, monkeypatch):
+    """It was read once for its rule of alarms, and again for its tests."""
+    reads, load = [], modelfile.load_model
+    for module in (modelfile, window):
+        monkeypatch.setattr(module, "load_model", lambda path: reads.append(path) or load(path))
+    evaluated(capsys, "--faulty", "leak.csv", "--labels", "bad")
+    assert list(map(str, reads)) == ["plant.toml"]
+
+
+def test_alarms_latch_where_the_model_says_so_and_plain_ones_do_not(plant, capsys):
+    model = jb.load_model("plant.toml")
+    jb.save_model(model.replace(alarms={"latch": True}), "plant.toml")
+    words = ("--faulty", "leak.csv", "--labels", "bad", "--factors", "4")
+    (_, own) = evaluated(capsys, *words)["models"]["plant.toml"]["scores"]
+    (_, plain) = evaluated(capsys, *words, "--alarm", "plain")["models"]["plant.toml"]["scores"]
+    assert (own["alarm"], plain["alarm"]) == ("1/1 latched", "1/1")
+    assert plain["faulty_in_alarm"] < own["faulty_in_alarm"] == 20 and own["delays"] == [0]

@@ -116,6 +116,7 @@ def test_an_interrupted_command_goes_on_and_says_so(model, tmp_path, capsys, mon
         ("--sizes needs lo:hi:count", ["--sizes", "a:b"]),
         ("input_range of --scenario needs lo:hi", ["--scenario", "input_range=3"]),
         ("onset of --scenario needs", ["--scenario", "onset=1.5:3"]),
+        ("unknown field 'smples'; did you mean 'samples'?", ["--scenario", "smples=30"]),
         ("at must be one of", ["--scenario", "at=corners"]),
         ("the model has no signal", ["--faults", "y9:bias"]),
         ("needs a whole number >= 1", ["--n", "0"]),

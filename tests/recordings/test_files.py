@@ -351,7 +351,7 @@ BAD = {
         "the rows run backwards in time, the newest first",
     ),
     "rounded stamps": (
-        text_of([(k // 3, 1, 2) for k in range(9)]),
+        text_of([(k // 3, 1, k) for k in range(9)]),
         "0 s apart: more than half of the rows repeat the time",
     ),
     "wrong dt": (

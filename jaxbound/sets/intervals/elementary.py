@@ -136,6 +136,7 @@ def _exponential(name: str, x: Interval) -> Interval:
             (bound == jnp.round(bound)) & (value >= rounding.tiny(x.dtype)) & jnp.isfinite(value)
         )
     else:
+        # e^0 and 10^0 are 1, and no other power of a float is known to be one
         exact = lambda bound, value: bound == 0
     return Interval(jnp.where(exact(x.lo, low), low, lo), jnp.where(exact(x.hi, high), high, hi))
 
@@ -161,6 +162,7 @@ def exp10(x: Interval) -> Interval:
 def _logarithm(name: str, x: Interval) -> Interval:
     f, low, high = getattr(approximations, name), rounding.order(x.lo) > 0, rounding.order(x.hi) > 0
     lo, hi = _widen(name, f(jnp.where(low, x.lo, 1)), f(jnp.where(high, x.hi, 1)))
+    # log 1 is 0 in every base
     lo, hi = jnp.where(x.lo == 1, 0, lo), jnp.where(x.hi == 1, 0, hi)
     return empty_where(~high, jnp.where(low, lo, -jnp.inf), hi)
 
@@ -215,6 +217,7 @@ def _wave(x: Interval, which: int) -> tuple[jax.Array, jax.Array, jax.Array, jax
 def sin(x: Interval) -> Interval:
     """Return the sine. Source: IEEE 1788 sin."""
     lo, hi, first, last = _wave(x, 0)
+    # sin 0 is 0: an end widened below it would add numbers of the wrong sign
     lo = jnp.where((x.lo == 0) & (last < 2), jnp.maximum(lo, 0), lo)
     return Interval(lo, jnp.where((x.hi == 0) & (first >= -2), jnp.minimum(hi, 0), hi))
 
@@ -231,6 +234,7 @@ def tan(x: Interval) -> Interval:
     """Return the tangent; entire where x meets a pole. Source: IEEE 1788 tan."""
     (low, first), (high, last), cut = _turns(x, angles.tan)
     lo, hi = _widen("tan", low, high)
+    # tan 0 is 0, and its sign that of x up to the pole
     lo, hi = jnp.where(x.lo == 0, jnp.maximum(lo, 0), lo), jnp.where(x.hi == 0, jnp.minimum(hi, 0), hi)
     pole = cut | _meets(first, last, 1, 2)
     return Interval(jnp.where(pole, -jnp.inf, lo), jnp.where(pole, jnp.inf, hi))
@@ -249,6 +253,7 @@ def asin(x: Interval) -> Interval:
 def acos(x: Interval) -> Interval:
     """Return the inverse cosine of the numbers of x in [-1, 1]. Source: IEEE 1788 acos."""
     low, high, empty = _within(x, -1, 1)
+    # it falls: the upper end gives the lower bound
     lo, hi = _widen("acos", angles.acos(high), angles.acos(low), 0, _up(angles.PI, x.dtype))
     return empty_where(empty, lo, jnp.where(low == 1, 0, hi))
 
@@ -276,6 +281,7 @@ def atan2(y: Interval, x: Interval) -> Interval:
     lo, hi = _widen("atan2", angles.atan2(low_y, low_x), angles.atan2(high_y, high_x), -top, top)
     lo = jnp.where(above, jnp.maximum(lo, 0), lo)
     hi = jnp.where(below & ((y.hi < 0) | (x.lo >= 0)), jnp.minimum(hi, 0), hi)
+    # across the negative axis angles jump from -pi to pi
     cut = (y.lo < 0) & (y.hi >= 0) & (x.lo < 0)
     origin = (y.lo == 0) & (y.hi == 0) & (x.lo == 0) & (x.hi == 0)
     return empty_where(origin, jnp.where(cut, -top, lo), jnp.where(cut, top, hi))
@@ -290,6 +296,7 @@ def sinh(x: Interval) -> Interval:
 @enclosing
 def cosh(x: Interval) -> Interval:
     """Return the hyperbolic cosine. Source: IEEE 1788 cosh."""
+    # even: least at the number next to 0, largest at the one farthest from it
     near, far = jnp.maximum(jnp.maximum(x.lo, -x.hi), 0), jnp.maximum(jnp.abs(x.lo), jnp.abs(x.hi))
     lo, hi = _widen("cosh", approximations.cosh(near), approximations.cosh(far), least=1)
     return Interval(lo, jnp.where(far == 0, 1, hi))
@@ -346,6 +353,7 @@ def _fused(a: jax.Array, b: jax.Array, c: jax.Array, side: int) -> jax.Array:
     moderate = lambda v: (
         (jnp.abs(v) < 2.0 ** (info.maxexp // 2 - 2)) & (jnp.abs(v) > 2.0 ** (info.minexp // 4))
     )
+    # where two_prod loses nothing
     fine = (moderate(a) & moderate(b) | zero) & (jnp.abs(c) < info.max / 4)
     p, e = rounding.two_prod(*(jnp.where(fine & ~zero, v, 0) for v in (a, b)))
     s, t = rounding.two_sum(p, jnp.where(fine, c, 0))

@@ -318,6 +318,7 @@ def separate(X: AnySet | Interval, Y: AnySet | Interval) -> Separation:
         array([ True])
     """
     (first, second), meet = numbers(X, Y), intersects(X, Y)
+    # one question, two names: what separates is what proves that they do not meet
     apart = Decision(-meet.answer, -meet.margin, meet.question, meet.direction, meet.point)
     (c, G, A, b), (c2, G2, A2, b2) = first, second
     xp, n, k, q = proof.library(c), c.shape[-1], b.shape[-1], G.shape[-1]
@@ -347,6 +348,7 @@ def _reach(l: Pair, e: Pair, W: Pair) -> np.ndarray | jax.Array:
     sides, middle, rows = xp.concatenate(l, -1), xp.concatenate(e, -1), xp.concatenate(W, -2)
     (m, q), dot = rows.shape[-2:], lambda v, w: (v * w).sum(-1)
     gamma, floor = rounding.product_error(m + q + 4, rows.dtype)
+    # entries of l are at most 1, so that these magnitudes hold all that is summed
     size = abs(middle) + abs(rows).sum(-1)
     error = gamma * dot(abs(sides), size) + floor * 2 * (1 + q) * (1 + size.max(-1, initial=0))
     return dot(sides, middle) + abs((sides[..., None, :] @ rows)[..., 0, :]).sum(-1) + error

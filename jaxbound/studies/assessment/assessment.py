@@ -9,8 +9,7 @@ each recording once a factor.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from itertools import starmap
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from jaxbound.consistency.interface import Relations, relations_of
 from jaxbound.diagnosis import monitoring
-from jaxbound.diagnosis.alarmrule import rule_of
+from jaxbound.diagnosis.alarmrule import AlarmRule, RuleLike, rule_of
 from jaxbound.diagnosis.monitoring import Watchable
 from jaxbound.diagnosis.result import Result
 from jaxbound.models.arguments import listed_argument
@@ -26,7 +25,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.recording import Recording
 from jaxbound.studies.assessment.detectors import Detector, Flags, Monitored, Verdicts
 from jaxbound.studies.assessment.peers import peers_of
-from jaxbound.studies.assessment.scores import Rule, Score, Trial, counted, total
+from jaxbound.studies.assessment.scores import Score, Trial, counted, total
 from jaxbound.studies.assessment.truth import Episode, Truth, truth_of
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import reporter
@@ -81,22 +80,25 @@ class Marks:
 
     Fields: name, note: how it was made. scores: a Score for each factor of the table and each rule, the first
         rule first. curve: (F, 3), rows of (factor, share of healthy windows in alarm, share of faulty windows
-        in alarm) by the first rule, from the smallest factor on.
+        in alarm) by the first rule, from the smallest factor on. equal: of another detector the Score by the
+        first rule at the smallest factor with no more healthy windows in alarm than of the monitor; None: of
+        the monitor.
     """
 
     name: str
     note: str
     scores: tuple[Score, ...]
     curve: np.ndarray
+    equal: Score | None = None
 
-    def at(self, factor: float, rule: tuple[int, int] | None = None) -> Score:
+    def at(self, factor: float, rule: RuleLike | None = None) -> Score:
         """Return the Score at a factor by a rule, the first one by default.
 
         Raises:
             ValueError: a factor or a rule that was not asked for.
         """
         for score in self.scores:
-            if score.factor == factor and rule in (None, score.rule):
+            if score.factor == factor and (rule is None or rule_of(rule) == score.rule):
                 return score
         raise ValueError(f"there is no score of {self.name} at factor {factor:g} by the rule {rule}")
 
@@ -112,7 +114,7 @@ class Assessment:
 
     marks: Marks
     cases: tuple[Case, ...]
-    rules: tuple[Rule, ...]
+    rules: tuple[RuleLike, ...]
     peers: tuple[Marks, ...] = ()
     relations: Relations | None = field(default=None, repr=False)
 
@@ -151,7 +153,7 @@ def assess(
     faulty: Sequence[Any] = (),
     labels: Sequence[ArrayLike | Sequence[str] | None] | None = None,
     *,
-    rules: Sequence[tuple[int, int]] = ((1, 1),),
+    rules: Sequence[RuleLike] = ((1, 1),),
     factors: Sequence[float] = FACTORS,
     method: str = "joint",
     training: Sequence[Any] | None = None,
@@ -169,8 +171,8 @@ def assess(
             starts).
         labels: of each faulty recording (T,) numbers, 0 for healthy samples, or texts, the name of the faulty
             signal or "" (`truth.HEALTHY_WORDS`); None, or None of a recording: every sample is faulty.
-        rules: (k, n), an alarm is on while k of the last n windows are FAULT; the first one makes the curve
-            and the cases.
+        rules: (k, n), an alarm is on while k of the last n windows are FAULT; or an AlarmRule, of which k, n
+            and latch count. The first one makes the curve and the cases.
         factors: > 0, on all bounds; 1 is always among them. At 1 verdicts are those of `detect`; elsewhere a
             window is outside if 1 - margin exceeds the factor, as computed, not proved. Of an observer each
             costs a test.
@@ -198,7 +200,7 @@ def assess(
     relations = relations_of(
         relations, "assess", "assess(parity_relations(model), healthy, faulty)", watched=monitoring.monitor
     )
-    by, wanted, report = _checked_rules(rules), _factors(factors), reporter(progress, "assess")
+    (ruled, wanted), report = _checked(rules, factors), reporter(progress, "assess")
     healthy = listed_argument("healthy", healthy, "[(u, y)]")
     faulty = listed_argument("faulty", faulty, "[(u, y)]")
     recordings = [_recording(relations, one) for one in (*healthy, *faulty)]
@@ -216,36 +218,33 @@ def assess(
         report(0.6 * (number + 1) / len(recordings))
     _refuse_untested(judged, relations)
     trials = [one.trial for one in judged]
-    marks = _marks(monitor, [one.verdicts for one in judged], trials, by, wanted, relations.model.dt)
-    beside = []
+    marks = _marks(monitor, [one.verdicts for one in judged], trials, ruled, wanted, relations.model.dt)
+    compared = []
     for number, peer in enumerate(peers):
         flags = [peer.flags(one.recording) for one in judged]
-        beside.append(_marks(peer, flags, trials, by, wanted, relations.model.dt))
+        own = _marks(peer, flags, trials, ruled, wanted, relations.model.dt)
+        compared.append(replace(own, equal=_at_most(marks.at(1.0).false, flags, trials, own.scores[0])))
         report(0.6 + 0.3 * (number + 1) / len(peers))
     cases = []
     titles = names or [f"faulty recording {number + 1}" for number in range(len(faulty))]
     for title, one in zip(titles, judged[len(healthy) :], strict=True):
-        cases.append(_case(title, one, by[0], relations.model.dt))
+        cases.append(_case(title, one, ruled[0], relations.model.dt))
     report(1.0)
-    return Assessment(marks, tuple(cases), by, tuple(beside), relations)
+    return Assessment(marks, tuple(cases), tuple(rules), tuple(compared), relations)
 
 
-def _checked_rules(rules: Sequence[tuple[int, int]]) -> tuple[Rule, ...]:
-    """Return the rules by name; refuse what is none."""
+def _checked(rules: Sequence[RuleLike], factors: Sequence[float]) -> tuple[list[AlarmRule], list[float]]:
+    """Return (the rules, the factors in order, 1 among them); refuse what is no rule and no factor."""
+    factors = listed_argument("factors", factors, "[0.5, 2]")
     if not listed_argument("rules", rules, "[(1, 1), (3, 5)]"):
         raise ValueError("there is no alarm rule: give at least one, like (1, 1)")
-    for rule in rules:
-        rule_of(rule)
-    return tuple(starmap(Rule, rules))
-
-
-def _factors(factors: Sequence[float]) -> list[float]:
-    """Return the factors in order, 1 among them; refuse what is none."""
-    factors = listed_argument("factors", factors, "[0.5, 2]")
+    ruled = []
+    for rule in map(rule_of, rules):
+        ruled.append(AlarmRule(rule.k, rule.n, latch=rule.latch))
     wanted = sorted({1.0, *map(float, factors)})
     if not (np.isfinite(wanted).all() and wanted[0] > 0):
         raise ValueError(f"factors on bounds are > 0 and finite: {', '.join(f'{f:g}' for f in factors)}")
-    return wanted
+    return ruled, wanted
 
 
 def _recording(relations: Relations, given: object) -> Recording:
@@ -308,17 +307,14 @@ def _marks(
     detector: Detector,
     flags: Sequence[Flags],
     trials: Sequence[Trial],
-    rules: Sequence[Rule],
+    rules: Sequence[AlarmRule],
     wanted: Sequence[float],
     dt: float | None,
 ) -> Marks:
     """Return the Marks of a detector from its flags of all recordings."""
 
-    def score(factor: float, rule: Rule) -> Score:
-        parts = []
-        for one, trial in zip(flags, trials, strict=True):
-            parts.append(counted(one.faults(factor), trial, factor, rule, dt))
-        return total(parts)
+    def score(factor: float, rule: AlarmRule) -> Score:
+        return _scored(flags, trials, factor, rule, dt)
 
     factors = detector.factors(wanted)
     scores = [score(factor, rule) for rule in rules for factor in factors]
@@ -329,27 +325,60 @@ def _marks(
     return Marks(detector.name, detector.note, tuple(scores), np.array(curve))
 
 
+def _scored(
+    flags: Sequence[Flags], trials: Sequence[Trial], factor: float, rule: AlarmRule, dt: float | None
+) -> Score:
+    """Return the Score over all recordings."""
+    parts = []
+    for one, trial in zip(flags, trials, strict=True):
+        parts.append(counted(one.faults(factor), trial, factor, rule, dt))
+    return total(parts)
+
+
+def _at_most(false: int, flags: Sequence[Flags], trials: Sequence[Trial], like: Score) -> Score | None:
+    """Return the Score at the smallest factor with so many healthy windows in alarm at most, by halving what
+    windows need; None where that is not known. like: a Score by the same rule.
+    """
+    candidates = _needs(flags)
+    low, high = 0, len(candidates) - 1
+    if high < 0:
+        return None
+    while low < high:
+        middle = (low + high) // 2
+        if _scored(flags, trials, float(candidates[middle]), like.rule, like.dt).false <= false:
+            high = middle
+        else:
+            low = middle + 1
+    return _scored(flags, trials, float(candidates[high]), like.rule, like.dt)
+
+
 def _quantiles(flags: Sequence[Flags]) -> list[float]:
     """Return the factors of a curve where one number a window says when it becomes quiet; else none."""
-    needs = [one.needs for one in flags]
-    known = [one for one in needs if one is not None]
-    if len(known) < len(needs):
-        return []
-    every = np.concatenate(known)
-    every = every[np.isfinite(every) & (every > 0)]
+    every = _needs(flags)
     if not len(every):
         return []
     return list(np.quantile(every, np.linspace(0, 1, POINTS)).tolist())
 
 
-def _case(name: str, one: _Judged, rule: Rule, dt: float | None) -> Case:
+def _needs(flags: Sequence[Flags]) -> np.ndarray:
+    """Return the factors at which windows become quiet, ascending; none where not all are known."""
+    parts = []
+    for one in flags:
+        if one.needs is None:
+            return np.zeros(0)
+        parts.append(one.needs)
+    every = np.concatenate(parts)
+    return np.sort(every[np.isfinite(every) & (every > 0)])
+
+
+def _case(name: str, one: _Judged, rule: AlarmRule, dt: float | None) -> Case:
     """Return the Case of a faulty recording."""
     score = counted(one.verdicts.faults(1.0), one.trial, 1.0, rule, dt)
     labelled = [episode for episode in one.trial.episodes if episode.signal]
     return Case(name, score, _namings(one.verdicts.result, labelled[:EXPLAINED], rule))
 
 
-def _namings(result: Result, episodes: Sequence[Episode], rule: Rule) -> tuple[Naming, ...]:
+def _namings(result: Result, episodes: Sequence[Episode], rule: AlarmRule) -> tuple[Naming, ...]:
     """Return a Naming of each fault that has an alarm whose worst window is explained."""
     if not episodes:
         return ()

@@ -3,13 +3,17 @@ its bounds.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
 from functools import cache
 from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
 from jaxbound.consistency.interface import EXACT, Relations
+from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.detection import detect
+from jaxbound.diagnosis.monitoring import monitor
 from jaxbound.diagnosis.result import Result
 from jaxbound.estimation.set_observer import SetObserver
 from jaxbound.recordings.recording import Recording
@@ -92,18 +96,31 @@ class Verdicts:
         return np.asarray(again.status == Status.FAULT)
 
 
+def _is_of_windows(relations: Relations) -> bool:
+    """Return whether one margin a sample says at which factor it becomes quiet: of windows, or of several
+    tests by windows that always watch.
+    """
+    if not relations.parts:
+        return not relations.remembers
+    return not any(watch.relations.remembers or watch.when for watch in relations.watches)
+
+
 class Monitored(Detector):
     """Relations, or an observer, of jaxbound."""
 
     def __init__(self, relations: Relations, method: str) -> None:
         self.relations, self.method, self.name = relations, method, "jaxbound"
-        self.by_margin = method in BY_MARGIN and not relations.remembers and bool(relations.bounds)
-        self.follows = relations.remembers and relations.untuned is None and not relations.parts
+        self.by_margin = method in BY_MARGIN and bool(relations.bounds) and _is_of_windows(relations)
+        self.follows = relations.remembers and relations.untuned is None and not self.by_margin
+        if relations.parts:  # one of tests that no model states cannot be built anew
+            self.follows = not self.by_margin and bool(cast(MonitorBank, relations).plant.tests)
         self.note = "at the bounds as they are: its margins do not say what other bounds would give"
         if self.by_margin:
             self.note = "at factors other than 1 by exact margins: as computed, not proved"
         elif self.follows:
             self.note = "an observer follows each recording once a factor"
+            if relations.parts:
+                self.note = "all tests judge each recording once a factor"
 
     def factors(self, wanted: Sequence[float]) -> list[float]:
         """Return 1 alone where margins do not say what other bounds would give."""
@@ -116,8 +133,14 @@ class Monitored(Detector):
         result = detect(self.relations, recording, method=self.method, margins=EXACT)
         return Verdicts(result, self, recording)
 
-    def scaled(self, factor: float) -> SetObserver[Any]:
-        """Return the observer with bounds so many times as wide."""
+    def scaled(self, factor: float) -> Relations:
+        """Return the observer, or the monitor, with bounds so many times as wide."""
+        if self.relations.parts:
+            bank = cast(MonitorBank, self.relations)
+            tests = []
+            for test in bank.plant.tests:
+                tests.append(replace(test, factor=test.factor * Fraction(factor)))
+            return monitor(bank.plant, tests)
         watch = cast(SetObserver[Any], self.relations)
         moved = moving(watch)
         return watch.of(model_with(watch, moved, moved.rounded_up(factor * moved.start), ""))

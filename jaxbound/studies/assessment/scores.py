@@ -5,20 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.watch import often
 from jaxbound.studies.assessment.truth import FAULTY, HEALTHY, Episode
 
 DAY = 86400.0
-
-
-class Rule(NamedTuple):
-    """An alarm is on while k of the last n windows are FAULT."""
-
-    k: int
-    n: int
-
-    def __str__(self) -> str:
-        return f"{self.k}/{self.n}"
 
 
 class Trial(NamedTuple):
@@ -36,15 +27,18 @@ class Score(NamedTuple):
     """Counts over recordings.
 
     Fields:
-        factor: on the bounds, or on the threshold of another detector. rule: of alarms.
+        factor: on the bounds, or on the threshold of another detector. k, n: the alarm rule. latch: whether
+            alarms stay on to the end of a fault, or of the healthy windows that they began in.
         healthy: windows without a faulty sample; false: those of them in alarm; alarms: that began there.
         faulty: windows that end at a faulty sample; caught: those of them in alarm.
-        episodes: stretches of one fault; delays: of each that is seen, samples from its onset to the alarm.
+        episodes: stretches of one fault; delays: of each that is seen, samples from the first verdict behind
+            its onset to the alarm.
         dt: s between samples, None: not known.
     """
 
     factor: float
-    rule: Rule
+    k: int
+    n: int
     healthy: int
     false: int
     alarms: int
@@ -53,6 +47,12 @@ class Score(NamedTuple):
     episodes: int
     delays: tuple[int, ...]
     dt: float | None
+    latch: bool = False
+
+    @property
+    def rule(self) -> AlarmRule:
+        """The alarm rule."""
+        return AlarmRule(self.k, self.n, latch=self.latch)
 
     @property
     def false_share(self) -> float:
@@ -78,12 +78,19 @@ class Score(NamedTuple):
 
     @property
     def delay(self) -> float:
-        """The median over all faults of the samples from the onset to the alarm, inf for one never seen."""
+        """The median over all faults of the samples from the first verdict to the alarm, inf for one never
+        seen.
+        """
         missed = self.episodes - len(self.delays)
         every = np.array([*self.delays, *[np.inf] * missed])
         if not len(every):
             return float("nan")
         return float(np.sort(every)[(len(every) - 1) // 2])
+
+
+def rule_text(score: Score) -> str:
+    """Return an alarm rule in short."""
+    return f"{score.k}/{score.n}{' latched' * score.latch}"
 
 
 def _share(part: float, whole: float) -> float:
@@ -92,20 +99,34 @@ def _share(part: float, whole: float) -> float:
     return part / whole
 
 
-def counted(fault: np.ndarray, trial: Trial, factor: float, rule: Rule, dt: float | None) -> Score:
+def in_alarm(fault: np.ndarray, trial: Trial, rule: AlarmRule) -> tuple[np.ndarray, np.ndarray]:
+    """Return ((T,) bool, whether an alarm is on; the sample at which each begins).
+
+    One that latches is over where the truth changes: whoever knows it acknowledges there.
+    """
+    on = often(np.append(np.zeros(rule.n, bool), fault), rule.k, rule.n)
+    if rule.latch:
+        onsets = [episode.start for episode in trial.episodes]
+        edges = np.union1d(np.flatnonzero(np.diff(trial.kinds)) + 1, onsets).astype(int)
+        on = np.concatenate([np.logical_or.accumulate(part) for part in np.split(on, edges)])
+    return on, np.flatnonzero(on & ~np.append(False, on[:-1]))
+
+
+def counted(fault: np.ndarray, trial: Trial, factor: float, rule: AlarmRule, dt: float | None) -> Score:
     """Return the Score of one recording. fault: (T,) bool, the windows that a detector calls faulty."""
-    # no window before the first one is FAULT
-    on = often(np.append(np.zeros(rule.n, bool), fault & trial.tested), rule.k, rule.n)
-    begin = np.flatnonzero(on & ~np.append(False, on[:-1]))
+    on, begin = in_alarm(fault & trial.tested, trial, rule)
     healthy, faulty = trial.tested & (trial.kinds == HEALTHY), trial.tested & (trial.kinds == FAULTY)
     delays = []
     for episode in trial.episodes:
-        seen = np.flatnonzero(on[episode.start : episode.stop])
-        if len(seen):
-            delays.append(int(seen[0]))
+        own = slice(episode.start, episode.stop)
+        first = np.flatnonzero(trial.tested[own] & on[own])
+        if len(first):
+            delays.append(int(first[0] - np.argmax(trial.tested[own])))
     return Score(
         factor,
-        rule,
+        rule.k,
+        rule.n,
+        latch=rule.latch,
         healthy=int(np.count_nonzero(healthy)),
         false=int(np.count_nonzero(healthy & on)),
         alarms=int(np.count_nonzero(trial.kinds[begin] == HEALTHY)),

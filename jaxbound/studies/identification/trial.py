@@ -35,7 +35,7 @@ RANK = 1e-9
 """Share of the largest below which nothing is said of a direction by any of them."""
 AVERAGES = 0.95
 """Share of the bound of a sample from which on that of a mean says nothing."""
-FEW_DAYS = 1.25
+FEW_DAYS = 1.15
 """Factor for two recordings on top of what they ask for, its root of order n - 1 for n: a fit to one of two
 says little of the next, and in simulated plants half of all days asked for more.
 """
@@ -162,7 +162,7 @@ def few_days(days: int) -> float:
 
     Example:
         >>> few_days(2), round(few_days(5), 3)
-        (1.25, 1.057)
+        (1.15, 1.036)
     """
     return float(FEW_DAYS ** (1 / max(days - 1, 1)))
 

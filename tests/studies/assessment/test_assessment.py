@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.studies.assessment.scores import Rule, Trial, counted
+from jaxbound.diagnosis.alarmrule import AlarmRule
+from jaxbound.studies.assessment.scores import Trial, counted
 from jaxbound.studies.assessment.truth import ASIDE, FAULTY, HEALTHY, Episode, truth_of
 
 NOISE, DECAY = 0.1, 0.5
@@ -37,6 +38,33 @@ def test_each_factor_counts_the_windows_that_need_more(model, rng):
         assert score.false == (needed(healthy[1]) > factor).sum(), factor
         assert score.caught == (needed(faulty[1]) > factor).sum(), factor
     assert (found.score.healthy, found.score.faulty) == (59, 59)
+
+
+def test_a_bank_has_the_curve_of_its_tests(model, rng):
+    """It had one point: its margins were not asked."""
+    healthy, faulty = decaying(rng, 60, 0.3), decaying(rng, 60, 0.6)
+    tests = [{"name": "short", "horizon": 1}, {"name": "long", "horizon": 3, "factor": 1.3}]
+    factors = (0.5, 0.8, 1.7)
+    found = jb.assess(jb.monitor(model, tests), [healthy], [faulty], factors=factors)
+    assert len(found.marks.curve) > 60
+    watched = {**tests[0], "name": "set", "horizon": None, "observer": "zonotope", "latched": True}
+    del watched["horizon"]
+    followed = jb.assess(jb.monitor(model, [tests[0], watched]), [healthy], [faulty], factors=factors)
+    for factor in factors:
+        wider = model.replace(noise=factor * NOISE)
+        for one, bank in ((found, tests), (followed, [tests[0], watched])):
+            res = jb.detect(jb.monitor(wider, bank), *faulty)
+            assert one.marks.at(factor).caught == res.counts["FAULT"], factor
+
+
+def test_other_detectors_are_compared_at_as_few_false_alarms(model, rng):
+    healthy, faulty = [decaying(rng, 60, 0.1) for _ in range(2)], decaying(rng, 60, 0.6)
+    found = jb.assess(jb.parity_relations(model), healthy[:1], [faulty], training=healthy[1:])
+    assert found.score.false == 0 and found.marks.equal is None
+    for peer in found.peers:
+        equal = peer.equal
+        assert equal.false == 0 and (equal.factor <= 1 or peer.at(1.0).false > 0), peer.name
+        assert max(peer.curve[peer.curve[:, 1] <= 0, 2]) <= equal.caught_share
 
 
 def test_the_curve_falls_with_the_factor(model, rng):
@@ -88,17 +116,26 @@ def test_alarms_are_counted_by_their_rule():
     fault = np.array([1, 0, 1, 1, 0, 0, 0, 1, 1, 1], bool)
     kinds = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1])
     trial = Trial(np.ones(10, bool), kinds, (Episode(6, 10, ""),))
-    one = counted(fault, trial, 1.0, Rule(1, 1), 8640.0)
+    one = counted(fault, trial, 1.0, AlarmRule(), 8640.0)
     assert (one.false, one.alarms, one.caught, one.delays) == (3, 2, 3, (1,))
     assert one.alarms_a_day == pytest.approx(2 / 0.6)  # 6 healthy samples of a tenth of a day each
-    two = counted(fault, trial, 1.0, Rule(2, 3), None)
+    two = counted(fault, trial, 1.0, AlarmRule(2, 3), None)
     assert (two.false, two.alarms, two.caught, two.delays) == (3, 1, 2, (2,))
     assert np.isnan(two.alarms_a_day)
+    lasting = counted(fault, trial, 1.0, AlarmRule(latch=True), None)
+    assert (lasting.false, lasting.alarms, lasting.caught) == (6, 1, 3)  # not on from before into the fault
+
+
+def test_a_delay_counts_from_the_first_verdict_behind_the_onset():
+    """A fault that was there when the recording began had the horizon of its windows in every delay."""
+    tested, fault = np.arange(6) >= 3, np.arange(6) >= 4
+    trial = Trial(tested, np.ones(6, int), (Episode(0, 6, ""),))
+    assert counted(fault, trial, 1.0, AlarmRule(), 1.0).delays == (1,)
 
 
 def test_the_delay_of_a_fault_that_is_not_seen_is_infinite():
     trial = Trial(np.ones(4, bool), np.ones(4, int), (Episode(0, 4, ""),))
-    score = counted(np.zeros(4, bool), trial, 1.0, Rule(1, 1), 1.0)
+    score = counted(np.zeros(4, bool), trial, 1.0, AlarmRule(), 1.0)
     assert (score.delay, score.missed_share) == (np.inf, 1.0)
 
 
