@@ -5,6 +5,7 @@
 - docs/pictures/sizes.svg: the smallest faults that tests see, as `python -m benchmarks.memory` measures them
 - docs/pictures/which.svg: which test for which fault
 - docs/pictures/check.svg: what is searched for a window, and what is proved
+- docs/pictures/house.svg: the folders of jaxbound, floor by floor
 
 What stands in FOLDER already is used. SVG files are light or dark, as the reader's system is.
 """
@@ -17,7 +18,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-__all__ = ["check", "sizes", "verdicts", "which", "write"]
+__all__ = ["check", "house", "sizes", "verdicts", "which", "write"]
 
 PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
 SIGNALS = ["--inputs", "Q1=Heater 1,Q2=Heater 2", "--outputs", "T1=Temperature 1,T2=Temperature 2"]
@@ -134,6 +135,68 @@ def check():
             words(258, y + 11, inequality, "code"),
         ]
     return drawing(16 + (wide + gap) * len(STEPS), top + 126 + 34 * len(PROOFS), "search, hint, check", parts)
+
+
+HOUSE = (
+    ("what a user meets", ("reports", "pages", "9"), ("cli", "commands", "1")),
+    ("recordings of any size", ("runs", "source, judge, sinks", "4, 8")),
+    (
+        "verbs over many recordings",
+        ("studies", "fit, tune, study, assess", ""),
+        ("sklearn", "a Detector", ""),
+        ("plots", "matplotlib", ""),
+    ),
+    ("one recording", ("diagnosis", "Result, alarms, names", "7")),
+    (
+        "beyond one window",
+        ("certificates", "proofs in fractions", "9"),
+        ("estimation", "observers, validation", ""),
+    ),
+    (
+        "one window",
+        ("consistency", "image, check, driver", "5"),
+        ("relations", "unknowns eliminated", "4"),
+    ),
+    ("a plant", ("workers", "other processes", ""), ("models", "matrices, bounds, files", "2")),
+    ("samples and sets", ("recordings", "files, pipes, gaps", "3"), ("sets", "kernels, rounding", "6")),
+    (
+        "ground",
+        ("text", "safe to show", ""),
+        ("exact", "fractions", ""),
+        ("random", "keys", ""),
+        ("files", "written whole", ""),
+    ),
+)
+"""(storey, (room, what is in it, steps of the way of a sample), ..), from the roof down. A room imports those
+on storeys below and to its left.
+"""
+
+
+def house():
+    """Return the drawing of the folders of jaxbound on their floors."""
+    left, wide, gap, high, top = 232, 178, 12, 46, 44
+    parts = [
+        words(16, 28, "storey", "head"),
+        words(left, 28, "rooms: each knows those below, and those to its left", "head"),
+    ]
+    for i, (storey, *rooms) in enumerate(HOUSE):
+        y = top + (high + gap) * i
+        parts.append(words(16, y + 28, storey, "soft"))
+        for j, (room, what, steps) in enumerate(rooms):
+            x = left + (wide + gap) * j
+            parts += [
+                box(x, y, wide, high, "card", 8),
+                words(x + 12, y + 20, room, "head"),
+                words(x + 12, y + 38, what, "soft"),
+                words(x + wide - 10, y + 20, steps, "code", "end"),
+            ]
+    foot = top + (high + gap) * len(HOUSE)
+    down = f"M {left - 18} {top} V {foot - gap} l -4 -7 m 4 7 l 4 -7"
+    parts += [
+        f'<path class="line" d="{down}"/>',
+        words(16, foot + 12, "numbers: the way of a sample, from a line of a file to the page", "soft"),
+    ]
+    return drawing(left + (wide + gap) * 4 + 4, foot + 26, "the folders of jaxbound, floor by floor", parts)
 
 
 def verdicts(reading, rows):
@@ -255,6 +318,7 @@ def write(folder):
     PICTURES.mkdir(exist_ok=True)
     (PICTURES / "which.svg").write_text(which())
     (PICTURES / "check.svg").write_text(check())
+    (PICTURES / "house.svg").write_text(house())
     (PICTURES / "sizes.svg").write_text(sizes())
     (PICTURES / "verdicts.svg").write_text(verdicts(*recorded(folder)))
     (PICTURES / "report.png").write_bytes(page(folder / "report_plant" / "report.html"))

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         diagnosis,
         estimation,
         models,
+        recordings,
         relations,
         runs,
         sets,
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from jaxbound.models.system import LinearSystem
     from jaxbound.models.uncertainty import Uncertainty
     from jaxbound.plots.every import plot
+    from jaxbound.recordings.look import look
     from jaxbound.recordings.read import read
     from jaxbound.recordings.recording import Recording
     from jaxbound.relations.decoupling import signatures, structured_relations
@@ -92,6 +94,7 @@ __all__ = [
     "isolability",
     "linearize",
     "load_model",
+    "look",
     "margins",
     "membership",
     "monitor",
@@ -150,6 +153,7 @@ _HOMES = {
     "models.system": "LinearSystem",
     "models.uncertainty": "Uncertainty",
     "plots.every": "plot",
+    "recordings.look": "look",
     "recordings.read": "read",
     "recordings.recording": "Recording",
     "relations.decoupling": "signatures structured_relations",
@@ -175,6 +179,7 @@ _HOMES = {
     "diagnosis": "Alarm BankResult GuaranteedSize MonitorResult",
     "estimation": "Observation ParameterSet UnknownInputs Validation",
     "models": "IntervalSystem Trajectory",
+    "recordings": "Look",
     "relations": "Isolability ParityRelation Redundancy Residual Signatures UncertainRelations",
     "runs": "Digest",
     "sets": "Inclusion Interval Paving Solution Solvability Zonotope",

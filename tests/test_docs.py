@@ -359,7 +359,7 @@ def test_every_command_has_its_help_on_the_page_and_every_key_of_a_model_file_it
         AVERAGE,
         field_names("uncertainty"),
         FIELDS,
-        *map(field_names, ("fault", "alarms", "matrices", "provenance")),
+        *map(field_names, ("fault", "alarms", "recording", "matrices", "provenance")),
     ]
     sections = re.split("^## .+$", (ROOT / "docs" / "modelfile.md").read_text(), flags=re.M)[1:]
     for keys, section in zip(known, sections, strict=True):
@@ -439,7 +439,7 @@ def test_every_file_and_script_that_the_design_names_is_there():
 
 def test_pictures_of_the_first_pages_are_as_their_script_draws_them():
     pictures = importlib.import_module("benchmarks.pictures")
-    for name in ("check", "which", "sizes"):
+    for name in ("check", "house", "which", "sizes"):
         assert (pictures.PICTURES / f"{name}.svg").read_text() == getattr(pictures, name)()
     assert (pictures.PICTURES / "report.png").stat().st_size < pictures.LARGEST
     for page in ("README.md", "docs/start.md"):

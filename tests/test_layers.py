@@ -11,6 +11,7 @@ import pytest
 from sources import imports
 
 import jaxbound as jb
+from benchmarks.pictures import HOUSE
 
 PACKAGE = Path(jb.__file__).parent
 FLOORS = (
@@ -102,6 +103,11 @@ def test_every_folder_is_known():
     }
 
 
+def test_the_drawing_of_the_house_has_every_floor():
+    drawn = [room for _, *rooms in reversed(HOUSE) for room, *_ in rooms]
+    assert [*drawn, "__main__"] == [*FLOORS]
+
+
 def test_imports_point_down():
     floor = {name: FLOORS.index(name.split(".")[0]) for name in GRAPH if name != OUTSIDE}
     up = [(name, other) for name in floor for other in GRAPH[name] - {OUTSIDE} if floor[other] > floor[name]]
@@ -157,7 +163,7 @@ def test_every_public_name_has_a_docstring(module):
 def test_the_top_has_verbs_and_what_is_constructed_and_types_of_results_live_in_their_rooms():
     types = {room: names.split() for room, names in jb._HOMES.items() if "." not in room}
     verbs = {name for home, names in jb._HOMES.items() if "." in home for name in names.split()}
-    assert len(jb.__all__) <= 53 and verbs | {"sets"} == set(jb.__all__) <= set(dir(jb))
+    assert len(jb.__all__) <= 54 and verbs | {"sets"} == set(jb.__all__) <= set(dir(jb))
     assert jb.Result is jb.diagnosis.Result and jb.Certificate is jb.certificates.Certificate
     assert all(
         getattr(jb, name) is getattr(getattr(jb, room), name)

@@ -17,7 +17,7 @@ from validated_case import found_in
 
 import jaxbound as jb
 from jaxbound.consistency.interface import Judged, WindowTest
-from jaxbound.consistency.monitor import MonitorState, Verdict
+from jaxbound.consistency.monitor import MonitorState
 from jaxbound.text.objects import readable
 
 ROOMS = (
@@ -106,7 +106,6 @@ def things():
         jb.detect(bank, res.u, res.y),
         found_in().found,
         Judged(LONG, LONG),
-        Verdict(LONG, LONG),
         jb.signatures(bank),
         MonitorState(LONG, LONG, np.int64(0), np.int64(0), np.float64(0)),
     ]

@@ -1,6 +1,7 @@
 """A test of windows, an observer and a source that a user wrote go through every verb and every command."""
 
 import contextlib
+import csv
 import io
 import json
 import os
@@ -62,13 +63,17 @@ def folder(tmp_path):
 
 def expected(toy):
     """Return the status that a toy gives the recording, by arithmetic of its own."""
-    y = recorded()[:, 0]
-    off = np.abs(np.diff(y, prepend=np.nan)) if isinstance(toy, Steps) else np.abs(y - y[0])
+    off = moves(toy)
     inside = jb.Status.CONSISTENT if isinstance(toy, Steps) else jb.Status.UNDECIDED
-    status = np.where(np.isnan(off), jb.Status.MISSING, np.where(off > 1, jb.Status.FAULT, inside))
-    if isinstance(toy, Spread):
-        status[0] = jb.Status.MISSING
-    return status
+    return np.where(np.isnan(off), jb.Status.MISSING, np.where(off > 1, jb.Status.FAULT, inside))
+
+
+def moves(toy):
+    """Return the numbers that a toy hands over beside its verdicts."""
+    y = recorded()[:, 0]
+    if isinstance(toy, Steps):
+        return np.abs(np.diff(y, prepend=np.nan))
+    return np.append(np.nan, np.abs(y[1:] - y[0]))
 
 
 def shell(*arguments):
@@ -85,7 +90,8 @@ def test_detect(toy):
     res = jb.detect(toy, None, recorded())
     np.testing.assert_array_equal(res.status, expected(toy))
     assert res.alarms()[0].start == 30 and "FAULT" in repr(res) and res.hints is not None
-    assert list(res.to_pandas().columns) == ["status", "margin", "suspect"]
+    assert list(res.to_pandas().columns) == ["status", "margin", "suspect", "move"]
+    np.testing.assert_allclose(res.columns["move"], moves(toy), atol=1e-6)
 
 
 def test_detect_a_batch(toy):
@@ -109,8 +115,10 @@ def test_a_monitor(toy):
     state, found = monitor.init(), []
     for y in recorded():
         state, verdict = monitor.step(state, None, y)
-        found.append(int(verdict.status))
-    np.testing.assert_array_equal(found, expected(toy))
+        found.append((int(verdict.status), verdict.columns["move"]))
+    status, move = np.transpose(found)
+    np.testing.assert_array_equal(status, expected(toy))
+    np.testing.assert_allclose(move, moves(toy), atol=1e-6)
 
 
 @pytest.mark.parametrize("cut", [1, 20, 30, 45])
@@ -119,12 +127,15 @@ def test_a_monitor_of_pieces(toy, cut):
     state, first = monitor.run(monitor.init(), None, y[:cut])
     _, second = monitor.run(state, None, y[cut:])
     np.testing.assert_array_equal(np.concatenate([first.status, second.status]), expected(toy))
+    both = [first.columns["move"], second.columns["move"]]
+    np.testing.assert_allclose(np.concatenate(both), moves(toy), atol=1e-6)
 
 
 def test_parts(toy, folder):
     found = jb.detect_dataset(toy, folder / "run.parquet", folder / "out", method=toy.methods[0])
-    kept = pq.read_table(folder / "out" / "verdicts.parquet").column("status").to_pylist()
-    assert kept == [jb.Status(s).name for s in expected(toy)]
+    kept = pq.read_table(folder / "out" / "verdicts.parquet")
+    assert kept.column("status").to_pylist() == [jb.Status(s).name for s in expected(toy)]
+    np.testing.assert_allclose(kept.column("move").to_numpy(), moves(toy), atol=1e-6)
     assert found.alarm_count == 1 and found.label(30) and repr(found)
 
 
@@ -162,7 +173,7 @@ def test_the_shell_detects_and_reports(method, folder, data):
     )
     assert code == 1 and "FAULT" in out, err
     page = (folder / "out" / "report.html").read_text()
-    assert "FAULT" in page and method in page
+    assert "FAULT" in page and method in page and '"name": "move"' in page
 
 
 def test_the_shell_judges_a_pipe(method, folder):
@@ -177,8 +188,10 @@ def test_the_shell_judges_a_pipe(method, folder):
             os.dup2(before, 0)
             os.close(before)
     assert code == 1, err
-    rows = (folder / "out" / "verdicts.csv").read_text().splitlines()[1:]
-    assert [row.split(",")[1] for row in rows] == [jb.Status(s).name for s in expected(TOYS[method](MODEL))]
+    rows = list(csv.DictReader((folder / "out" / "verdicts.csv").read_text().splitlines()))
+    toy = TOYS[method](MODEL)
+    assert [row["status"] for row in rows] == [jb.Status(s).name for s in expected(toy)]
+    np.testing.assert_allclose([float(row["move"] or "nan") for row in rows], moves(toy), atol=1e-6)
 
 
 def test_the_shell_refuses_to_explain_in_a_sentence(method, folder):

@@ -18,16 +18,18 @@ LIMIT = 1.0
 
 @jax.jit
 def moved(limit, u, y):
-    """Return (status, margin) of windows of two samples: does the output move by more than a limit?"""
-    margin = 1 - abs(y[1, 0] - y[0, 0]) / limit
+    """Return (status, margin, move) of windows of two samples: does the output move by more than a limit?"""
+    move = abs(y[1, 0] - y[0, 0])
+    margin = 1 - move / limit
     status = jnp.where(margin < 0, jb.Status.FAULT, jb.Status.CONSISTENT)
-    return jnp.where(jnp.isnan(margin), jb.Status.MISSING, status).astype(jnp.int8), margin
+    return jnp.where(jnp.isnan(margin), jb.Status.MISSING, status).astype(jnp.int8), margin, move
 
 
 class StepTest(WindowTest):
     """Tests how far the output moves from one sample to the next."""
 
     block, short, lags = 256, 16, 2
+    columns = {"move": (np.float32, np.nan)}
 
     @property
     def constants(self):
@@ -71,7 +73,7 @@ class Spread(Observer):
             margin[k] = 1 - abs(y - first) / self.bounds["limit"]
             faulty = jb.Status.FAULT if margin[k] < 0 else jb.Status.UNDECIDED
             status[k] = jb.Status.MISSING if np.isnan(margin[k]) else faulty
-        return carry, Judged(status, margin)
+        return carry, Judged(status, margin, columns={"move": self.bounds["limit"] * (1 - margin)})
 
 
 class JsonLines(Source):

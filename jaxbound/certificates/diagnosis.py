@@ -90,15 +90,26 @@ class Diagnosis:
         """Return the answer in a sentence or two."""
         if not self.explains:
             return f"none of the named faults explains this{self._partly()}{self._left_over()}"
-        answer = f"{self.first} explains it"
+        answer, beyond = f"{self.first} explains it", self.beyond
         others = []
         for weighed in self.explains[1:]:
-            others.append(f"{weighed.fault.name} ({size_text(self.model, weighed)})")
+            if weighed.fault.name not in beyond:
+                others.append(f"{weighed.fault.name} ({size_text(self.model, weighed)})")
         if others:
             answer += f"; so would {listed(others, str)}"
         if self.excluded:
             answer += f"; excluded: {listed((weighed.fault.name for weighed in self.excluded), str)}"
+        if beyond:
+            answer += f"; {len(beyond)} more by sizes beyond the range in training: {listed(beyond, str)}"
         return answer + self._left_over()
+
+    @property
+    def beyond(self) -> tuple[str, ...]:
+        """The faults that explain, though not the first, only by an actuator farther off than the whole range
+        that it had in training.
+        """
+        others = [weighed.fault for weighed in self.explains[1:] if weighed.fault.kind == "offset"]
+        return tuple(fault.name for fault in others if self.shares.get(fault.name, Fraction(0)) > 1)
 
     def span(self, name: str) -> str:
         """Return the sizes, in words, of a fault that explains some of the windows alone."""
@@ -156,6 +167,7 @@ class Diagnosis:
             "windows": list(self.windows),
             "of": self.of,
             "explains": explains,
+            "beyond_range": list(self.beyond),
             "excluded": excluded,
             "not_weighed": dict(self.unweighed),
             "partly": {name: list(windows) for name, windows in self.partly.items()},
@@ -182,6 +194,7 @@ class Diagnosis:
         shares = {}
         for name in (weighed.fault.name for weighed in explains):
             known = [each.shares[name] for each in (self, other) if name in each.shares]
+            # the larger share: a fault is as plausible as in the window that asks most of it
             if known:
                 shares[name] = max(known)
         # what is left open in one window is neither excluded nor explained by all
@@ -245,6 +258,7 @@ def _weighed(scale: Scale, fault: NamedFault) -> FaultSize:
     Raises:
         NotImplementedError: as `Scale.weigh`, or no size of a parameter was found.
     """
+    # from each sample of the window on: one that begins later explains fewer samples
     onsets = range(scale.window.horizon + 1)
     if fault.kind != PARAMETER:
         return scale.weigh(fault, onsets)
@@ -258,11 +272,10 @@ def _weighed(scale: Scale, fault: NamedFault) -> FaultSize:
 
 
 def _ranked(explains: Sequence[FaultSize], shares: Mapping[str, Fraction]) -> tuple[FaultSize, ...]:
-    """Return faults by their shares; behind them those without one, in the order of the model."""
+    """Return faults by their shares; those without one before what is larger than usual."""
 
-    def place(weighed: FaultSize) -> tuple[bool, Fraction]:
-        share = shares.get(weighed.fault.name)
-        return share is None, share or Fraction(0)
+    def place(weighed: FaultSize) -> Fraction:
+        return shares.get(weighed.fault.name, Fraction(1))
 
     return tuple(sorted(explains, key=place))
 

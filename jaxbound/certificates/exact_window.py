@@ -187,6 +187,7 @@ class ExactWindow:
         unknowns keep all rows, its size that of no bound.
         """
         best = self._nearest(self.bounds())
+        # gains have rows of their own, which make no relation among samples
         if self.gained and not any(best.h):  # explained: of gains of 1 the tightest relation is shown
             best = replace(best, h=self._nearest(self._bounds_of_rows()).h)
         return best
@@ -264,6 +265,7 @@ class ExactWindow:
         rows = []
         for both in zip(E, K, strict=True):
             (row, driven), over = linalg.over_one(both)
+            # a missing input acts as it would: K has its column
             rows.append(Whole((*row, *(driven[j] for j in missing)), over))
         return rows
 

@@ -88,6 +88,7 @@ class FaultSize:
         if abs(two.size or ZERO) > abs(one.size or ZERO):
             one, two = other, self
         ends = [each.largest for each in (one, two) if each.largest is not None]
+        # what is too large for one window is too large for both
         largest = min(ends, key=abs, default=None)
         varies = one.varies or two.varies or (largest is not None and abs(largest) < abs(one.size or ZERO))
         return replace(one, largest=largest, varies=varies)
@@ -245,6 +246,7 @@ class Scale:
             return SensorError(i, None, h)
         if not size:
             return SensorError(i, size, h)
+        # few digits that people read, and still enough: more of the error explains as well
         enough = rounded_up(size)
         wider = with_fault(self.window, push, enough)
         z = rounded_witness(wider, wider.solve().z)  # fewer digits than at `size`
@@ -326,6 +328,7 @@ class Scale:
             for sign in signs:
                 near, far = (sign * end for end in (low, high)[::sign])
                 paths = [Path(pushes[since], ZERO, sign * ENDLESS, int(is_gain))]
+                # below -1 a gain turns the sign: 1 / (1 + f) jumps there from one end to the other
                 if is_gain and sign < 0:
                     paths = [
                         Path(inverted[since], -ONE, -ENDLESS, -1),
@@ -351,6 +354,7 @@ class Scale:
         ends: list[End] = []
         while True:
             here = t
+            # relations first, which cost a few products: a program only where none of them is violated
             for number in range(2 * len(self.cuts)):
                 if number == len(ends):
                     ends += ends_of(self.cuts[number // 2], path.push, forward, self.window)
@@ -368,6 +372,7 @@ class Scale:
             best = with_fault(self.window, path.push, forward * t).solve()
             if best.t <= 1:
                 return Reached(forward * t, best.z, passed)
+            # the relation that this size violates: it rules out smaller ones as well
             self._add(best.h)
 
 
@@ -391,6 +396,7 @@ def _root_above(a: Fraction, b: Fraction, c: Fraction, low: Fraction) -> Fractio
         ends = []
         for sqrt in (whole, whole + 1):
             ends.append((sign * Fraction(sqrt, square.denominator * fine) - b) / (2 * a))
+        # rounded up: at a smaller t the end might still be below 0
         roots.append(max(ends))
     above = [root for root in roots if root > low]
     if not above:

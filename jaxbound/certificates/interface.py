@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxbound.certificates.checker.solver_texts import smt2, vipr
 from jaxbound.certificates.diagnosis import Diagnosis
+from jaxbound.consistency.extrapolated import extrapolated
 from jaxbound.consistency.interface import Relations
 from jaxbound.models.named_faults import NamedFault
 from jaxbound.sets.floats.status import Status
@@ -199,7 +200,7 @@ class WindowCertificate:
 
 
 def certify(
-    relations: object,
+    relations: Relations,
     u: np.ndarray,
     y: np.ndarray,
     *,
@@ -214,13 +215,22 @@ def certify(
             default (s,).
 
     Returns:
-        A WindowCertificate.
+        A WindowCertificate. Outside of training, where bounds are wider, that of a FAULT is of the bounds as
+        stated: it says how many times as wide they would have to be.
 
     Raises:
         ValueError: no relation has its data. NotImplementedError: a verdict that one relation or one
             behaviour cannot prove.
     """
-    return certificate_of(relations, u, y, status, at or (len(y) - 1,))
+    at = at or (len(y) - 1,)
+    wide = extrapolated(relations)
+    if wide is not None and status != Status.FAULT:
+        departure = wide.region.departure(np.asarray(u), np.zeros(len(y), bool))
+        if departure.share[-1] > 0:
+            beyond = certificate_of(wide.relations, u, y, status, at)
+            if beyond.proves != Status.FAULT:
+                return beyond
+    return certificate_of(relations, u, y, status, at)
 
 
 @singledispatch

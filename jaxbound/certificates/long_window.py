@@ -115,6 +115,7 @@ class LongWindow(ExactWindow):
             return (ZERO,) * len(self.y)
         # a common factor changes no relation: digits are kept beside the largest multiplier
         largest = max(np.abs(floats).max(initial=0), 1e-300)
+        # a few bits: certificates are read, and any multipliers prove what they prove
         h: Vector = tuple(Fraction(round(float(x) / largest * 2**DIGITS), 2**DIGITS) for x in floats)
         _, H, needed = self._way
         # without them some unknown input would be left over, whatever the other multipliers are
@@ -132,6 +133,7 @@ class LongWindow(ExactWindow):
             change, row = self._without_unknown([Fraction(i == place) for place in range(len(self.y))])
             changes.append(change)
             rows.append(row)
+            # what is left is to be a combination of what these outputs do to the first state
             solved, pivots = linalg.row_reduce(transpose([*rows, left]))
             if len(rows) in pivots:
                 continue
@@ -238,6 +240,7 @@ def program(window: LongWindow) -> tuple[float, np.ndarray]:
     seen = hstack([kron(every, C), kron(every, D_v), csr_array(((s + 1) * m.p, g))]).tocsr()[there]
     first_mid, first_rad = _middles(window.first or ())
     first = eye_array(len(first_mid), free + g)
+    # in units of half-widths: t is compared with 1 in every row
     rows = vstack([diags_array(1 / rad) @ seen, eye_array(g, free + g, k=free), first])
     middle = np.concatenate([(mid - (inputs @ D.T).ravel()[there]) / rad, np.zeros(g), first_mid])
     half = np.concatenate([np.ones(len(there) + g), first_rad])
@@ -288,6 +291,7 @@ def _(relations: Stretch, u: np.ndarray, y: np.ndarray, status: Status | None, a
     left = window.backward(rows)
     h, over = (*rows, *left.disturbances), any(left.unknown)
     if relations.first is None:
+        # a first state without bounds times anything is without bounds
         over |= any(left.first)
     k, residual, width = window.relation(h)
     if over or not any(h) or not width or abs(residual) <= width:

@@ -1,6 +1,5 @@
 """A certificate as a reader wants it: a headline, named rows, and a table of the samples."""
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from itertools import chain
@@ -57,18 +56,21 @@ def _fault_rows(certificate: Certificate) -> Iterator[Row]:
     yield "violated", certificate.relation
     yield "", f"is {residual} at the samples, and the bounds allow ± {width}"
     yield "bounds needed", f"{at_least}{times(float(certificate.factor))} the stated ones"
-    for name, error in certificate.errors.items():
-        yield f"{name} wrong?", _error_text(certificate, name, error)
-    actuator = "an actuator that did something else than was recorded would alone explain the window"
-    for name in certificate.candidates:
-        if name in certificate.window.model.inputs:
-            yield f"{name} wrong?", actuator
+    errors, candidates = certificate.errors, certificate.candidates
+    for name in candidates:  # the least error beside its bounds first
+        if name in errors:
+            yield f"{name} wrong?", _error_text(certificate, name, errors[name])
+    actuators = [name for name in candidates if name not in errors]
+    if actuators:
+        text = "an actuator that did something else than was recorded, at any sample, would alone explain it"
+        yield f"{', '.join(actuators)} wrong?", text
+    others = [name for name in errors if name not in candidates]
+    if others:
+        yield f"{', '.join(others)} wrong?", "no error of this sensor alone explains the window"
 
 
 def _error_text(certificate: Certificate, name: str, error: Fraction | float) -> str:
-    """Return whether an error of one sensor explains the window, and how large it is at least."""
-    if error == math.inf:
-        return "no error of this sensor alone explains the window"
+    """Return how large an error of one sensor is at least that explains the window."""
     size = six_digits(error) + _unit(certificate, name)
     return (
         f"errors of up to {size} of this sensor alone, another at each sample, would explain the window, no "

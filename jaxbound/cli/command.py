@@ -80,6 +80,7 @@ class Help(argparse.Action):
     ) -> NoReturn:
         """Print the help."""
         for action in parser._actions:
+            # hidden when help is printed: they are parsed like any other
             if values != self.metavar and action.dest in self.rare:
                 action.help = argparse.SUPPRESS
         parser.print_help()
@@ -91,6 +92,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise Refused instead of printing the usage."""
+        # argparse says "argument --n: expected ..", which reads on as a sentence without its colon
         if message.startswith("argument "):
             message = message.removeprefix("argument ").replace(": ", " ", 1)
         raise Refused(f"{message}; see {self.prog} --help")
@@ -105,6 +107,7 @@ class Parser(argparse.ArgumentParser):
         """
         words = sys.argv[1:] if args is None else list(args)
         if self.commands:
+            # argparse would first miss the arguments that a command of that name has not
             self._refuse_unknown_command(words)
         else:
             self._refuse_unknown_option(words)
@@ -146,6 +149,7 @@ class Parser(argparse.ArgumentParser):
             name = word.partition("=")[0]
             is_option = name.startswith("--") and " " not in name
             if is_option and not any(option.startswith(name) for option in options):
+                # options that are kept for old command lines are not advertised
                 near = nearest(name, shown)
                 raise Refused(f"there is no option {name} of {self.prog}{near}; see {self.prog} --help")
 
@@ -199,6 +203,7 @@ def swift_imports() -> Iterator[None]:
 
     What is imported stays: the collector need not look through it again and again, neither now nor later.
     """
+    # a program that calls main may have switched it off itself
     was_enabled = gc.isenabled()
     gc.disable()
     try:

@@ -110,6 +110,7 @@ def _alarms_row(summary: Summary, evidence: Evidence, explain: str) -> tuple[str
     first = summary.first_alarm
     text = f"{evidence.alarms}, the first at {first}"
     if explain and TIME.fullmatch(first):
+        # the shell splits at a space: 5 s is typed 5s
         at = f"{first.removesuffix(' s')}s" if first.endswith(" s") else first
         text = f"{text}: {explain}{shlex.quote(at)}"
     lasting = (evidence.ended or {}).get(LASTING, 0)

@@ -10,7 +10,7 @@ from jaxbound.cli.command import swift_imports
 from jaxbound.cli.options import (
     JSON,
     Options,
-    every,
+    reading,
     rule,
     test,
 )
@@ -71,7 +71,7 @@ OPTIONS = Options(
         "--compare OTHER.toml ...": "models beside this one",
         "--peers TRAINING ...": "PCA, an isolation forest, a CUSUM and a threshold too, trained on these "
         "healthy recordings: those that the model was fitted to (needs scikit-learn)",
-        **every(),
+        **reading(),
         **JSON,
     },
 )
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
             folder = stack.enter_context(output_folder(args.out, FILES, inputs))
         step = stack.enter_context(progress_bars(("read", "relations", "test")))
         found = []
-        plants = [stated_model(model, args.every, ask) for model in models]
+        plants = [stated_model(model, args.recording, ask) for model in models]
         rules, hints = _rules(args, plants[0])
         for number, (model, stated) in enumerate(zip(models, plants, strict=True)):
             assessment, said = _assessed(args, (model, stated), ask, rules, factors, number == 0, step)
@@ -150,6 +150,7 @@ def _refuse_incomplete(args: argparse.Namespace) -> None:
             f"{len(args.faulty)}"
         )
     trained = {file.resolve() for file in args.peers}
+    # a detector shown what it was trained on would look better than it is
     for file in (*args.healthy, *args.faulty):
         if file.resolve() in trained:
             raise Refused(f"{file} is in --peers too: what detectors were trained on does not test them")
@@ -176,6 +177,7 @@ def _assessed(
 
     path, stated = model
     files = [*args.healthy, *args.faulty]
+    # other detectors depend on no model: once, beside the first one, will do
     training: list[Path] = []
     if with_peers:
         training = args.peers
@@ -188,6 +190,7 @@ def _assessed(
     labels = []
     for number, (file, recording) in enumerate(zip(args.faulty, faulty, strict=True)):
         labels.append(_labels(args.labels, number, file, stated, recording))
+    # a horizon that no recording fills is refused by name, before anything is tested
     longest = max(recording.samples for recording in recordings[: len(files)])
     _, relations = window_relations(stated, ask, "every recording", longest, step)
     assessment = assess(

@@ -104,7 +104,7 @@ def evaluate(
     seconds, start = {}, time.perf_counter()
     ask, data = run.ask, run.data
     with door():
-        stated = stated_model(run.model, run.every, ask)
+        stated = stated_model(run.model, run.recording, ask)
         source = open_source(data, ask.recorded(stated))
         content = source.content  # before it is read, so that what is written meanwhile does not pass for it
         recording = source.read(progress=lambda share: step("read", share))

@@ -91,6 +91,7 @@ def explain_window(directory: str | Path, at: str, step: Step, test: str | None 
             certificate = certify(relations, part.u, part.y)
     except ValueError as e:
         raise ValueError(f"{axis.label(k)} (sample {k}): {e}") from None
+    # an observer read more than the certificate needs: the labels are of its window
     first = part.samples - certificate.window.horizon - 1
     labels = [part.label(j) for j in range(first, part.samples)]
     beyond = is_outgrown(Path(directory))

@@ -10,7 +10,7 @@ from typing import Any
 
 from jaxbound.text.quantities import decimal
 
-FIRST = {"TEST": "name", "RULE": "rule", "RECIPE": "file", "N|ADDRESS": "who", "A=1,B=2": ""}
+FIRST = {"TEST": "name", "RULE": "rule", "RECIPE": "file", "N|ADDRESS": "who", "A=1,B=2": "", "FIELDS": ""}
 """{metavar of an option that holds fields: the one that may stand first without its name}."""
 OLD = {
     "test": "method horizon lags order observer margins outside span:window latched:latched=true",
@@ -19,13 +19,14 @@ OLD = {
     # fields of `jb.Recipe`, whose home imports NumPy, for which a help does not wait; a test compares them
     "recipe": "order delay direct:direct=true horizon lags average test observer disturbances see follow "
     "signals method safety held-out:held_out",
+    "recording": "time every long",
     "scenario": "samples onset at input-range:input_range hold",
 }
 """{option: options of before, each with the field that it is now if that has another name}; a field with its
 value was a switch.
 """
-STAYS = "--method"
-"""An option of before that is no worse than its field."""
+STAYS = "--method", "--time", "--every", "--long"
+"""Options of before that are no worse than their fields."""
 TEXTS = {*FIRST.values(), "see", "when", "acknowledged"}
 """Fields whose values are texts, whatever they look like."""
 TRUTH = {"true": True, "True": True, "false": False}
@@ -131,6 +132,7 @@ def fields_of(text: str, first: str) -> dict[str, Any]:
         if not isinstance(table, dict) or key in table:
             raise ValueError(f"says {name} twice")
         table[key] = value.strip() if name in TEXTS or not first else _value(value)
+        # lags=4 alone is a list of one, not a number
         if name == "lags" and not isinstance(table[key], tuple):
             table[key] = (table[key],)
     return fields
@@ -154,7 +156,7 @@ def moved(namespace: argparse.Namespace) -> str:
     now: dict[str, dict[str, str]] = {}
     flags: dict[str, str] = {}
     for flag, option, text in getattr(namespace, "old", ()):
-        if flag != STAYS:
+        if flag not in STAYS:
             flags[flag] = option
             now.setdefault(option, {})[flag] = text
     if not flags:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import FORCE, JSON, Options, every
-from jaxbound.cli.terminal import OK, door, progress_bars, some_device
+from jaxbound.cli.options import FORCE, JSON, Options, reading
+from jaxbound.cli.terminal import OK, Refused, door, hushed, progress_bars, some_device
 from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
@@ -24,6 +24,10 @@ EXAMPLES = (
         "names for columns, a signal computed from columns, only while the fan runs",
     ),
     ("jaxbound fit may.csv june.csv --recipe plant.toml --out new.toml", "as plant.toml was fitted"),
+    (
+        "jaxbound fit --add monday.csv plant.toml",
+        "monday was healthy: wider bounds hold it, too",
+    ),
 )
 CODES = (
     "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by SIGTERM "
@@ -32,8 +36,11 @@ CODES = (
 OPTIONS = Options(
     {
         "data DATA ...": "healthy recordings: CSV files, Parquet files or folders",
+        "--add": "one of DATA is a model file: it gets bounds just wide enough for the others, and stays as "
+        "it is else; without --out that file is changed",
         "--inputs A,B": "columns; or name=column, or name=expression like lift=Tsup-Tmix; names with commas "
-        "or = in backticks or double quotes",
+        "or = in backticks or double quotes; wind=angle(W) becomes wind sin and wind cos, of degrees; "
+        "rate(n) is the growth of a counter in a second, rate(n,65536) of one that begins at 0 again there",
         "--outputs C,D": "as --inputs: what the model is to explain; these and their columns may be left out "
         "with a --recipe from a model file",
         "--recipe RECIPE": "how to fit, and for which test, like order=1,horizon=30 (windows of 31 samples) "
@@ -44,25 +51,33 @@ OPTIONS = Options(
         "faults; follow=auto: bounds follow the operating point; signals=auto: choose inputs; method: least "
         "squares, windows, filters, auto; safety (default: 1.25); held_out (default: 0.3)",
         "--out MODEL.toml": "the model file to write",
-        **every("as recorded"),
+        **reading("as recorded"),
     },
-    {"dt": decimal},
+    {"dt": decimal, "most": decimal},
     {"inputs": "", "outputs": ""},
-    ("out",),
     more={
         "--where EXPR": "condition on columns: samples where it does not hold are no part of the recording",
-        "--time COLUMN": "of the time stamps (default: a column that looks like time)",
         "--dt SECONDS": "sampling period (default: the median step of the time)",
         "--name NAME": "of the plant (default: that of the model file)",
+        "--most F": "with --add: bounds that have to grow by more are refused, for a fault would be learnt "
+        "(default: 3)",
         "--plot PNG": "picture: how much of the bounds each window needs",
         **FORCE,
         **JSON,
     },
 )
+NEW = ("inputs", "outputs", "recipe", "where", "time", "dt", "every", "name", "plot")
+"""Options that a model which is widened has no use for."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fit a model to recordings, write and describe it; return the exit code."""
+    """Fit a model to recordings, or widen one by them; write and describe it; return the exit code."""
+    if args.add:
+        return _add(args)
+    if args.most is not None:
+        raise Refused("--most is for --add: --recipe safety=1.5 makes bounds of a new model wider")
+    if args.out is None:
+        raise Refused("--out is needed: the model file to write")
     with swift_imports():
         from jaxbound.cli.fit_summary import FitConclusion
         from jaxbound.files.whole import put
@@ -76,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.studies.identification.signal_choice import products
 
     refuse_targets({"--out": args.out, "--plot": args.plot}, args.data, args.force)
-    with door(), progress_bars(("read", "fit")) as step:
+    with door(), hushed(), progress_bars(("read", "fit")) as step:
         file, fields = _recipe(args.recipe or {})
         recipe = recipe_of(file, fields)
         signals, units, name = _signals(args, file)
@@ -110,6 +125,40 @@ def run(args: argparse.Namespace) -> int:
     return OK
 
 
+def _add(args: argparse.Namespace) -> int:
+    """Widen a model file by recordings, write and describe it; return the exit code."""
+    with swift_imports():
+        from jaxbound.cli.widening_summary import WideningConclusion
+        from jaxbound.files.whole import put
+        from jaxbound.models.modelfile import changed_text
+        from jaxbound.runs.outputs import refuse_targets
+        from jaxbound.studies.identification.adding import MOST, widen
+
+    for name in NEW:
+        if getattr(args, name):
+            raise Refused(f"--{name} is for a new model: with --add the model file says it")
+    models = [path for path in args.data if path.suffix == ".toml"]
+    days = [path for path in args.data if path.suffix != ".toml"]
+    if len(models) != 1 or not days:
+        raise Refused("--add needs one model file and recordings, like --add monday.csv plant.toml")
+    (model,) = models
+    out = args.out or model
+    if args.out is not None:
+        refuse_targets({"--out": out}, args.data, args.force)
+    with door(), progress_bars(("widen",)) as step:
+        some_device()
+        most = MOST if args.most is None else args.most
+        widened = widen(model, days, most, progress=lambda share: step("widen", share))
+        written = []
+        if args.out is not None or widened.changed:
+            text = changed_text(model.read_text(encoding="utf-8-sig"), widened.model)
+            put(out, text.encode())
+            written = [out]
+    hints = _hints(days, widened.days)
+    WideningConclusion(widened, written=written, hints=hints).show(args.json)
+    return OK
+
+
 def _recipe(said: Mapping[str, Any]) -> tuple[Path | None, dict[str, Any]]:
     """Return (the model file whose recipe is asked for, if any, the fields that differ from it).
 
@@ -135,14 +184,18 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
     """
     from jaxbound.cli.fit_summary import named_units, signal_columns
     from jaxbound.models.modelfile import load_model
+    from jaxbound.recordings.expressions import with_angles
+    from jaxbound.recordings.recordingformat import with_format
     from jaxbound.recordings.signals import Signals
 
-    own = {name: value for name in ("time", "where", "every") if (value := getattr(args, name))}
+    own: dict[str, str] = {}
+    if args.where:
+        own["where"] = args.where
     if file is not None and not args.outputs:
         if args.inputs:
             raise ValueError(f"--inputs without --outputs: give both, or none for the signals of {file}")
         model = load_model(file)
-        columns = dict(model.columns) | own
+        columns = with_format(dict(model.columns) | own, args.recording)
         signals = Signals(model.inputs, model.outputs, columns, args.dt or model.dt)
         return signals, dict(model.units), args.name or model.name
     if not args.outputs:
@@ -150,7 +203,9 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
     inputs, outputs = signal_columns("--inputs", args.inputs), signal_columns("--outputs", args.outputs)
     inputs, outputs, units = named_units(inputs, outputs)
     columns = own | dict(signal for signal in (*inputs, *outputs) if not isinstance(signal, str))
-    signals = Signals(_names(inputs), _names(outputs), columns, args.dt)
+    input_names, columns = with_angles(_names(inputs), with_format(columns, args.recording))
+    output_names, columns = with_angles(_names(outputs), columns)
+    signals = Signals(input_names, output_names, columns, args.dt)
     return signals, units, args.name or args.out.stem
 
 

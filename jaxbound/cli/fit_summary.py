@@ -15,6 +15,7 @@ from jaxbound.diagnosis.memory import slowest, suggest_lags
 from jaxbound.recordings.expressions import CLOCK, expression
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.signal_choice import GIVEN
+from jaxbound.studies.identification.trial import few_days
 from jaxbound.studies.identification.window_tests import RAMP, JudgedTest, best_test
 from jaxbound.text.units import without_unit
 
@@ -23,6 +24,8 @@ CHECKED = (
     "hidden"
 ).split()
 """Fields of a `FitCheck` that JSON has as they are."""
+WIDEST = "recording sample when share where span rest cost missing stepping".split()
+"""Fields of a `Widest` that JSON has as they are."""
 Signal = str | tuple[str, str]  # a column of that name, or (name, column)
 MEMORY = 1.5  # times the window that a plant must remember before longer windows are spoken of
 SHOWN = 4
@@ -128,6 +131,7 @@ class FitConclusion(Conclusion):
             "resolution": _bounds_by_output(model, model.resolution),
             **{name: getattr(check, name) for name in CHECKED},
             "follow": check.follows,
+            "widest": check.widest and {name: getattr(check.widest, name) for name in WIDEST},
             "average": _average(check),
             "inputs": model.inputs,
             "tests": [_plain_test(test, model) for test in check.tests],
@@ -149,9 +153,14 @@ class FitConclusion(Conclusion):
         what = "sample" if model.horizon is None else "window"
         for file, numbers in zip(self.files, check.recordings, strict=True):
             yield str(file), _recording_text(numbers, what)
+        if check.widest is not None:
+            yield from check.widest.rows(self.files)
         yield from _tried_signals(model)
         yield from _tried_tests(model)
         yield from _left_out(check, self.files)
+        if model.extrapolation:
+            why = model.provenance["extrapolation"]
+            yield "outside training", f"bounds are {float(model.extrapolation):.3g} times as wide, {why}"
         yield from _follows(check)
         yield from disturbance_rows(model)
         if not check.tests:  # else lags were tried
@@ -213,7 +222,7 @@ def _tried_signals(model: Fitted) -> Iterator[Row]:
     others = sorted((one for one in tried if not one.taken), key=lambda one: one.blindness)
     for one in [*(one for one in tried if one.taken), *others[:SHOWN]]:
         jump, steady = _each_size(model, one.jump), _each_size(model, one.steady)
-        text = f"needs {one.factor:.3g} times; jumps from {jump}, lasting from {steady}"
+        text = f"needs {one.factor:.3g} times; sees jumps of {jump}; lasting errors of {steady}"
         if not np.isfinite(one.blindness):
             text = "fewer recordings can be left out"
         elif one.taken and one.change != GIVEN:
@@ -228,8 +237,8 @@ def _tried_tests(model: Fitted) -> Iterator[Row]:
     for test in model.check.tests:
         jump, steady = _each_size(model, test.jump), _each_size(model, test.steady)
         text = (
-            f"needs {test.factor:.3g} times; by {test.method}; jumps from {jump}, lasting from {steady}, "
-            f"ramps by {_each_size(model, test.ramp)} in {RAMP} samples"
+            f"needs {test.factor:.3g} times; by {test.method}; sees jumps of {jump}; lasting errors of "
+            f"{steady}; ramps, within {RAMP} samples, of {_each_size(model, test.ramp)}"
         )
         if _is_taken(test, model):
             text = f"chosen: {text}"
@@ -243,7 +252,10 @@ def _bounds_by_output(model: Fitted, bounds: Iterable[SupportsFloat]) -> dict[st
 def _each_size(model: Fitted, sizes: Mapping[str, float]) -> str:
     parts = []
     for name in model.outputs:
-        parts.append(f"{name} {_size(model, sizes, name)}")
+        text = f"{name} from {_size(model, sizes, name)}"
+        if sizes[name] > model.check.moved.get(name, np.inf):
+            text = f"{name} beyond all that it moved"
+        parts.append(text)
     return ", ".join(parts)
 
 
@@ -285,6 +297,9 @@ def _left_out(check: FitCheck, files: Sequence[Path]) -> Iterator[Row]:
         if one.why:
             text = f"unknown: {one.why}"
         yield f"left out: {name}", text
+    few = few_days(len(files))
+    text = f"{check.factor / few:.3g}, the mean of these, times {few:.3g} for so few recordings"
+    yield "factor", text
     count = 0
     if len(files) > 1:
         count = sum(not one.why for one in check.left_out)
@@ -307,7 +322,9 @@ def promise(factor: float, count: int) -> str:
     text = f"bounds are {factor:.3g} times the smallest for these"
     if not count:
         return text
-    return f"{text}; of recordings like them one in {count + 1} may still ask for more"
+    return (
+        f"{text}; of recordings like them one in {count + 1} may still ask for more, by more recordings fewer"
+    )
 
 
 def _memory(model: Fitted) -> Iterator[Row]:
@@ -326,6 +343,6 @@ def _memory(model: Fitted) -> Iterator[Row]:
     yield (
         "memory",
         f"the plant remembers longer than a window: fitted again with "
-        f"--recipe lags={','.join(map(str, lags))} it would see lasting errors from "
+        f"`--recipe lags={','.join(map(str, lags))}` it would see lasting errors from "
         f"about {', '.join(sizes)} on, if its bounds hardly grew",
     )

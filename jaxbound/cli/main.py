@@ -24,6 +24,7 @@ from jaxbound.cli import (
     fit,
     fleet,
     info,
+    look,
     parameters,
     study,
     tune,
@@ -47,6 +48,7 @@ from jaxbound.text.characters import clipped
 COMMANDS: tuple[Command, ...] = (
     demo,
     example,
+    look,
     detect,
     explain,
     verify,
@@ -82,6 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with stoppable() as signals:
         code = _ended(words)
         if code == INTERRUPTED and signals:
+            # as shells report a process that a signal ended
             return 128 + signals[0]
         return code
 
@@ -108,6 +111,7 @@ def _ended(words: list[str]) -> int:
     except Exception as e:
         with tempfile.NamedTemporaryFile("w", prefix="jaxbound-traceback-", suffix=".txt", delete=False) as f:
             traceback.print_exc(file=f)
+        # the line may be what could not be parsed: it is asked for -v by hand
         if any(word == "-v" or (word > "--" and "--verbose".startswith(word)) for word in words):
             traceback.print_exc()
         say(f"internal error, {type(e).__name__}: please report it with the traceback in {f.name}")
@@ -191,6 +195,7 @@ def _keep_log(loudness: int) -> Iterator[None]:
     import logging
 
     log = logging.getLogger("jaxbound")
+    # a program that calls main has a level of its own
     before = log.level
     log.setLevel(logging.ERROR)
     try:
@@ -209,6 +214,7 @@ def _configure() -> None:
 
     # jax states no types of these functions
     jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
+    # a card searches and proves nothing unless it was examined: who wants it says so
     if not os.environ.get("JAX_PLATFORMS"):
         jax.config.update("jax_platforms", "cpu")  # type: ignore[no-untyped-call]
     with suppress(ValueError):  # a folder that cannot be written: what is slow is not wrong

@@ -67,6 +67,7 @@ class ModelConclusion(Conclusion):
             yield f"test {test.name}", _test_text(test)
         if model.alarms:
             yield "alarms", ", ".join(f"{name} {value}" for name, value in model.alarms.items())
+        # long windows repeat a relation at each sample: it is shown once
         distinct = len(distinct_relations(relations))
         if distinct < relations.count:
             yield "", f"the {distinct} below and the same some samples earlier"
@@ -109,6 +110,7 @@ class ModelConclusion(Conclusion):
             "notes": list(relations.notes),
             "hints": self.hints,
         }
+        # sizes are guaranteed where nothing that a reading depends on scales with it
         is_known = not model.uncertainties and not any(model.tolerance) and not model.factors
         if is_known and _seconds(model, relations.horizon) <= PATIENCE:
             sizes = _guaranteed_sizes(model, relations.horizon, relations.lags)
@@ -165,6 +167,7 @@ def _amount(model: SignalModel, name: str, size: float) -> str:
 
 def _guaranteed_by_tests(bank: MonitorBank) -> dict[str, GuaranteedSize] | str:
     """Return {signal: size} of the constant faults that a monitor detects, or why they are not known."""
+    # observers prove no size: what they cost is not asked
     seconds = 0.0
     for watch in bank.watches:
         if watch.relations.linear is not None:
@@ -211,6 +214,9 @@ def _bounds_rows(model: LinearSystem) -> Iterator[Row]:
         yield "disturbance", f"{', '.join(ranges)}   {_origin_in_brackets(model, 'disturbance')}"
     for a in model.averages:
         yield "average", f"{a.text} within {float(a.bound):.6g}"
+    if model.extrapolation:
+        wider = f"bounds times {float(model.extrapolation):.6g}"
+        yield "outside training", f"{wider}   {_origin_in_brackets(model, 'extrapolation')}"
     if model.d:
         yield "unknown inputs", f"{model.d}, of which nothing is known"
     for parameter in model.uncertainties:

@@ -88,11 +88,16 @@ def _parts(usage: str) -> tuple[str, str, str]:
     return flag, flag.strip("-").replace("-", "_"), metavar
 
 
-def every(default: str = "that of the model") -> dict[str, str]:
-    """Return --every. default: of it."""
+def reading(default: str = "that of the model") -> dict[str, str]:
+    """Return --recording. default: of its field every."""
     return {
-        "--every 15min": "samples are the means of what was recorded within each such interval of the clock, "
-        f"in ms, s, min, h or d (default: {default})"
+        "--recording FIELDS": "how files are read: every=15min (samples are the means of what was recorded "
+        "within each such interval of the clock, in ms, s, min, h or d; default: "
+        f"{default}); and how they are written, beside [recording] of the model file, like "
+        "header=3,decimal=comma: header (row), skip (rows), comment, delimiter, decimal, thousands, "
+        "encoding; time (column), time_format, time_unit, zone; missing, on, off (words); hold, equal, "
+        "long (columns of tags and of values) "
+        "(default: found by looking)"
     }
 
 
@@ -170,6 +175,7 @@ def whole_number(least: int = 0, most: int = LARGEST) -> Callable[[str], int]:
     """Return a reader of whole numbers between two."""
 
     def read(text: str) -> int:
+        # int() of a million digits takes minutes
         is_long = len(text) >= DIGITS
         if not _is_whole(text) or (not is_long and int(text) < least):
             raise ArgumentTypeError(f"needs a whole number >= {least}, not {text[:40]!r}")
@@ -210,17 +216,6 @@ def share(text: str) -> float:
     return number
 
 
-def clock_interval(text: str) -> str:
-    """Return an interval of the clock as it is written."""
-    from jaxbound.recordings.clockintervals import seconds_of
-
-    try:
-        seconds_of(text)
-    except ValueError as e:
-        raise ArgumentTypeError(str(e).removeprefix("every ")) from None
-    return text
-
-
-READERS: dict[str, Callable[[str], object]] = {"every": clock_interval, "min_coverage": share}
+READERS: dict[str, Callable[[str], object]] = {"min_coverage": share}
 """Of the options that several commands share."""
 DEFAULTS: dict[str, object] = {"min_coverage": 0.5}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import FORCE, JSON, Options, every, share, test, whole_number
+from jaxbound.cli.options import FORCE, JSON, Options, reading, share, test, whole_number
 from jaxbound.cli.terminal import INTERRUPTED, OK, Conclusion, Refused, Row, door, progress_bars, some_device
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ OPTIONS = Options(
     {"precision": share, "budget": whole_number(1)},
     {"precision": 1 / 32, "budget": 20_000},
     more={
-        **every(),
+        **reading(),
         "--precision F": "boxes are not cut below this share of the hull (default: 1/32)",
         "--budget N": "boxes that are judged at most (default: 20 000)",
     },
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     if ask.test is not None:
         raise Refused("parameters are narrowed by plain windows: give --test horizon=30 or lags=0,1,4")
     with door(), progress_bars(("read", "relations", "parameters")) as step:
-        model = stated_model(args.model, args.every, ask)
+        model = stated_model(args.model, args.recording, ask)
         recording = read(args.data, model, lambda share: step("read", share))
         some_device()
         model, relations = parity_windows(model, ask, args.data, recording.samples, step)

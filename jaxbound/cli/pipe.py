@@ -31,7 +31,7 @@ from jaxbound.diagnosis.hints import bound_hints, device_hints, outgrown, unfit_
 from jaxbound.diagnosis.severity import fitted
 from jaxbound.files.locks import refuse_link
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.columns import moments
+from jaxbound.recordings.columns import Words, header_line, moments
 from jaxbound.recordings.factors import known
 from jaxbound.recordings.hints import missing_sentences
 from jaxbound.recordings.live import LiveSource
@@ -71,8 +71,8 @@ class LiveRun:
     """Samples that are to be judged as they come.
 
     Fields:
-        model: path of the model file. ask: the test. every: see `options.every`. data: "-", or the
-            name of a live source.
+        model: path of the model file. ask: the test. recording: see `options.reading`. data: "-", or
+            the name of a live source.
         out: folder of the verdicts; state: file to go on from; None: none.
         min_coverage: least share of decided windows. json: whether verdicts are JSON, else CSV.
         alarm: the rule by which alarms are told; None: that of the model, or none are.
@@ -80,7 +80,7 @@ class LiveRun:
 
     model: Path | str
     ask: Ask = Ask()
-    every: str | None = None
+    recording: Mapping[str, str] | None = None
     data: str = STDIN
     out: Path | None = None
     state: Path | None = None
@@ -120,7 +120,7 @@ def judge_stream(asked: LiveRun, chunks: Iterable[Any] | None = None) -> int:
         end = None
         if chunks is None:
             end = opened.enter_context(ends())
-        stated = stated_model(asked.model, asked.every, ask)
+        stated = stated_model(asked.model, asked.recording, ask)
         rule = None
         if asked.alarm or stated.alarms:
             rule = stated_rule(asked.alarm, stated, asked.model)
@@ -290,7 +290,7 @@ class _Judging:
 
     def to_the_end(self, chunks: Iterable[Any], min_coverage: float) -> Summary:
         """Judge everything that comes; return the Summary."""
-        self.judge.compile()
+        self.lines.begin(self.judge.compile())
         if self.resumed:
             behind = ""
             if self.tally.last is not None:
@@ -353,6 +353,8 @@ class _Judging:
         if lost:
             lines = f"{lost} line{'s' * (lost != 1)}"
             hints.append(f"{lines} could not be read: left out, and no window spans them")
+        if self.stream.no_rows:
+            hints.append(f"{self.stream.no_rows} lines hold no sample: left out")
         hints += unfit_by(relations, found.counts, found.margin, found.outside)
         return [*hints, *endings_said(found.ended or {}, found.alarms)]
 
@@ -370,13 +372,16 @@ class _PrintedLines:
 
     def __init__(self, as_json: bool, alone: bool, alarms: LiveAlarms, tells: bool) -> None:
         self.json, self.alone, self.alarms, self.tells = as_json, alone, alarms, tells
-        self.text = RowText(alarms.region is not None, bool(alarms.relations.parts))
+        self.text = RowText()
         self.notices: list[Notice] = []
-        self.header = b""
-        if not as_json:
-            self.header = f"{','.join(self.text.names)}\n".encode()
         self.texts = False
-        self.fresh = b""
+        self.header = self.fresh = b""
+
+    def begin(self, like: Verdicts) -> None:
+        """Take the columns of the verdicts that come."""
+        self.text.begin(like)
+        if not self.json:
+            self.header = header_line(self.text.names[:-1])  # suspect is not printed
 
     def add(self, piece: Recording, verdicts: Verdicts) -> None:
         """Take the rows of the next verdicts."""
@@ -447,16 +452,15 @@ class _PrintedLines:
         if not self.tells:  # else a line of its own says it
             ended = {number: notice.get("ended") for number, notice in self.notices}
         for number, cells in enumerate(csv.reader(io.StringIO(rows.decode()))):
-            row = dict(zip(self.text.names, cells, strict=False))
+            row = dict(zip(self.text.names, cells, strict=True))
             when, margin = row["time"], _number(row["margin"])
             time = when if self.texts else _number(when)
             line = {"time": time, "status": row["status"], "margin": margin, "ended": ended.get(number)}
-            if "outside" in row:
-                line["outside"] = _number(row["outside"])
-                line["outside_by"] = row["outside_by"] or None
-                line["outside_at"] = _number(row["outside_at"])
-            if "test" in row:
-                line["test"] = row["test"] or None
+            for name in self.text.names[3:-1]:
+                if isinstance(self.text.columns[name], Words):
+                    line[name] = row[name] or None
+                else:
+                    line[name] = _number(row[name])
             lines.append(json.dumps(line) + "\n")
         return "".join(lines).encode()
 

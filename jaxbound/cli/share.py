@@ -77,7 +77,7 @@ def judge_share(run: DetectRun, part: tuple[int, int]) -> int:
 
 def opened_share(run: DetectRun, step: Step) -> tuple[Any, Asked]:
     """Return (Source, its test) of what is to be tested chunk by chunk."""
-    stated = stated_model(run.model, run.every, run.ask)
+    stated = stated_model(run.model, run.recording, run.ask)
     usable_device()
     source = open_source(run.data, run.ask.recorded(stated))
     _, relations = window_relations(stated, run.ask, run.data, source.samples, step)

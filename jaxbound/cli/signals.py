@@ -60,6 +60,7 @@ def _waking() -> Iterator[int | None]:
         yield None
         return
     woken, waker = os.pipe()
+    # a full pipe must not stop the handler of a signal
     os.set_blocking(waker, False)
     previous = signal.set_wakeup_fd(waker)
     try:
@@ -80,6 +81,7 @@ def arrivals(raw: int | Iterable[Any], end: Ends) -> Iterator[Any]:
         return _by_thread(raw, end)
     _enlarge(raw)
     if end.woken is None:
+        # the system cannot wait for a file: a thread reads it, and the wait is for that
         return _by_thread(_read(raw), end)
     return _by_select(raw, end, end.woken)
 

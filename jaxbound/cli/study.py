@@ -113,6 +113,7 @@ def _fault_text(text: str) -> str:
         ('Q1=Heater, left:bias', 'AHU: Supply:gain', 'a, b')
     """
     signal, colon, kind = text.rpartition(":")
+    # the whole text is quoted: a fault by its name, colons and all
     if not colon or unquoted(text) != text:
         return unquoted(text)
     return f"{unquoted(signal)}:{kind}"
@@ -138,6 +139,7 @@ class _Announced:
         then, done = self.first
         if self.is_said or share <= done:
             return
+        # by what came behind the first part, in which programs were compiled
         left = (1 - share) * (now - then) / (share - done)
         self.is_said = share > done + 0.02 or now - then > 1
         if self.is_said and left > PATIENCE:

@@ -1,5 +1,6 @@
 """The terminal: refusals in one sentence, a bar for each stage, conclusions in colour."""
 
+import ctypes
 import io
 import os
 import signal
@@ -30,6 +31,7 @@ __all__ = [
     "VERBOSE",
     "json_text",
     "door",
+    "hushed",
     "nobody_reads",
     "progress_bars",
     "say",
@@ -80,10 +82,12 @@ def stoppable() -> Iterator[list[int]]:
     """
     caught = []
     names: set[signal.Signals] = set()
+    # Python hands signals to the main thread alone, and lets no other set their handlers
     if threading.current_thread() is threading.main_thread():
         names = {n for n in ENDS if signal.getsignal(n) == signal.SIG_DFL}
 
     def stop(number: int, frame: object) -> None:
+        # the first signal counts: what follows must not break the cleaning up
         caught.append(number)
         for n in names:
             signal.signal(n, signal.SIG_IGN)
@@ -99,6 +103,28 @@ def stoppable() -> Iterator[list[int]]:
 
 
 @contextmanager
+def hushed() -> Iterator[None]:
+    """Keep off the output what compiled libraries print there by themselves, as HiGHS does at times."""
+    with suppress(OSError, AttributeError, ValueError):  # no output, or one that is none of the system
+        sys.stdout.flush()
+    try:
+        output = os.dup(1)
+    except OSError:
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        with suppress(OSError, TypeError, AttributeError):  # what C still holds back would be printed later
+            ctypes.CDLL(None).fflush(None)
+        os.dup2(output, 1)
+        os.close(output)
+        os.close(nowhere)
+
+
+@contextmanager
 def progress_bars(stages: Sequence[str]) -> Iterator[Callable[[str, float], object]]:
     """Show a bar for each stage on a terminal's stderr, elsewhere a line now and then; yields a function of
     (stage, share).
@@ -106,6 +132,7 @@ def progress_bars(stages: Sequence[str]) -> Iterator[Callable[[str, float], obje
     if sys.stderr is None or LOUDNESS.get() == QUIET:
         yield lambda stage, share: None
         return
+    # a bar redraws its line, which fills a log with control characters
     if not sys.stderr.isatty():
         yield _Lines().step
         return
@@ -127,6 +154,7 @@ def progress_bars(stages: Sequence[str]) -> Iterator[Callable[[str, float], obje
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        # all from the start: a user sees what is still to come
         tasks = {stage: bars.add_task(stage, total=1.0) for stage in stages}
         yield lambda stage, share: bars.update(tasks[stage], completed=share)
 
@@ -180,6 +208,7 @@ def json_text(value: object) -> str:
 def nobody_reads() -> None:
     """Drop the text that waits for stdout: else the interpreter complains of it at its end."""
     with suppress(OSError):  # a stand-in for stdout has no number
+        # at exit Python flushes stdout, and would end with a broken pipe and another exit code
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -200,6 +229,7 @@ def show(
     # what rich itself writes to stdout, a full or closed one would break
     page, shown = io.StringIO(), Console()
     terminal = shown.is_terminal
+    # no terminal, no width: 160 columns, so that no cell of a table is broken into lines
     console = Console(file=page, force_terminal=terminal, width=shown.width if terminal else 160)
     grid = Table.grid(padding=(0, 2))
     for name, value in rows:
@@ -209,6 +239,7 @@ def show(
         console.print(grid)
     lines = list(table)
     if lines:
+        # numbers on the right, names on the left
         rates = Table(box=None, padding=(0, 2), pad_edge=False)
         for i, name in enumerate(lines[0]):
             rates.add_column(Text(printable(name)), justify="right" if i else "left")

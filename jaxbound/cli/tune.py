@@ -9,7 +9,7 @@ from jaxbound.cli.options import (
     FORCE,
     JSON,
     Options,
-    every,
+    reading,
     share,
     test,
     whole_number,
@@ -63,7 +63,7 @@ OPTIONS = Options(
     {"faulty": [], "safety": 1.25, "calibrate": 1 / 3},
     ("out",),
     more={
-        **every(),
+        **reading(),
         "--steps N": f"gradient steps (default: {STEPS}; 0: one factor on all bounds)",
         "--optimizer NAME": "of optax: adam (default), sgd, lion, ...",
         "--bounds A,B": "which move: noise, tolerance, disturbance, parameters (default: all)",
@@ -113,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
     if steps is None:
         steps = STEPS
     with door(), progress_bars(("read", "relations", "tune")) as step:
-        model = stated_model(args.model, args.every, ask)
+        model = stated_model(args.model, args.recording, ask)
         columns = ask.recorded(model)
         text, tests = args.model.read_text(encoding="utf-8-sig"), load_model(args.model).tests
         recordings = []

@@ -46,6 +46,7 @@ def is_unfinished(path: Path) -> bool:
     """Return whether a file is as an interrupted search has left it."""
     if not path.is_file():
         return False
+    # by its digest: a file that somebody has edited since is not replaced
     content = path.read_bytes()
     text = content.split(b"\n", 1)[-1]
     return content == _mark(text) + text

@@ -31,7 +31,7 @@ def evaluate_validation(work: Path, step: Step, run: DetectRun) -> Evaluation:
     seconds, start = {}, time.perf_counter()
     ask, data = run.ask, run.data
     with door():
-        plant = stated_model(run.model, run.every, ask)
+        plant = stated_model(run.model, run.recording, ask)
         source = open_source(data, plant)
         content, recording = source.content, source.read(progress=lambda share: step("read", share))
         if ask.lags is not None:

@@ -4,7 +4,7 @@ import argparse
 import json
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import Options, every
+from jaxbound.cli.options import Options, reading
 from jaxbound.cli.terminal import door, say, show
 
 NAME = "verify"
@@ -25,7 +25,7 @@ OPTIONS = Options(
         "--model MODEL.toml": "the plant and its bounds: DIR/tested_model.toml where options of the report "
         "changed its window",
         "--data DATA": "the recording: a CSV file, a Parquet file or a folder",
-        **every(),
+        **reading(),
     },
     required=("model", "data"),
 )
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         from jaxbound.runs.ask import Ask
 
     with door():
-        model = stated_model(args.model, args.every, Ask())
+        model = stated_model(args.model, args.recording, Ask())
     try:
         document = load(args.certificate)
         _, tested = of_test(document, model)

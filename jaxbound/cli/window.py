@@ -12,7 +12,7 @@ from jaxbound.diagnosis.alarmrule import Stated
 from jaxbound.models.modelfile import load_model
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.hints import refuse_short
-from jaxbound.recordings.means import EVERY
+from jaxbound.recordings.recordingformat import with_format
 from jaxbound.relations.parity import ParityRelation, parity_relations
 from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.runs.ask import Ask
@@ -30,8 +30,8 @@ class DetectRun:
     """A recording that is to be tested, as the options of `jaxbound detect` say.
 
     Fields:
-        model, data: paths. out: folder of the report. ask: the test. every: see `options.every`. alarm: the
-        rule of alarms.
+        model, data: paths. out: folder of the report. ask: the test. recording: see
+        `options.reading`. alarm: the rule of alarms.
         min_coverage: least share of decided windows. json: whether the conclusion is JSON.
         chunk: samples in memory at once. overlap: of an observer, samples before each part. part: (i, n), the
             i-th of n shares; None: all. merge: the parts are there, judged before. workers: see
@@ -42,7 +42,7 @@ class DetectRun:
     data: Path | str
     out: Path
     ask: Ask = Ask()
-    every: str | None = None
+    recording: Mapping[str, str] | None = None
     alarm: Stated = None
     min_coverage: float = 0.5
     json: bool = False
@@ -75,6 +75,7 @@ def asked_test(args: argparse.Namespace, *more: str, only: Sequence[str] = (), c
     for field in ("margins", "outside"):
         if field in test and not claims:
             raise Refused(f"--test: {field} is for detect and fleet, leave it out")
+    # the command line speaks of windows, the library of the joint test
     called, name = WINDOWS
     if test.get("method") == called:
         test["method"] = name
@@ -102,8 +103,11 @@ def windowed(model: LinearSystem, horizon: int | None, lags: Sequence[int] | Non
     return model if horizon is None or model.lags is None else model.replace(horizon=horizon)
 
 
-def stated_model(path: Path | str, every: str | None, ask: Ask) -> LinearSystem:
-    """Return the model of a file, with the tests that are asked for and, if one is, means over an interval.
+def stated_model(path: Path | str, recording: Mapping[str, str] | None, ask: Ask) -> LinearSystem:
+    """Return the model of a file, with the tests that are asked for.
+
+    Args:
+        recording: fields of --recording, which go before those of the file.
 
     Raises:
         OSError, ValueError: see `load_model`; no such test; an interval that is not its dt.
@@ -111,14 +115,18 @@ def stated_model(path: Path | str, every: str | None, ask: Ask) -> LinearSystem:
     model = load_model(path)
     try:
         model = ask.chosen(model)
+        if recording:
+            model = model.replace(columns=with_format(model.columns, recording))
     except ValueError as e:
-        raise ValueError(f"{path}: {e}") from None
-    if every is None:
-        return model
-    try:
-        return model.replace(columns={**model.columns, EVERY: every})
-    except ValueError as e:
-        raise ValueError(f"{path}: {e}: fit a model with --every {every}") from None
+        raise ValueError(f"{path}: {e}{_other_every(recording)}") from None
+    return model
+
+
+def _other_every(recording: Mapping[str, str] | None) -> str:
+    """Return the end of a sentence on means over another interval than the model's."""
+    if not recording or "every" not in recording:
+        return ""
+    return f": fit a model with --recording every={recording['every']}"
 
 
 def window_relations(

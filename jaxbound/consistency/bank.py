@@ -9,7 +9,15 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from jaxbound.consistency.folded import tested
-from jaxbound.consistency.interface import Arrays, Judged, LinearRelations, LinearTest, Outputs, Run
+from jaxbound.consistency.interface import (
+    Arrays,
+    Judged,
+    LinearRelations,
+    LinearTest,
+    Outputs,
+    Relations,
+    Run,
+)
 from jaxbound.consistency.reading import Block, Reading, gather
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.consistency.strips_on_host import HostStrips, host_strips
@@ -51,6 +59,11 @@ class BankTest(LinearTest):
                 f"a bank of {relations.count} relations is more than is tested at once, {MOST}: choose fewer "
                 f"parts"
             )
+
+    def under(self, relations: Relations) -> "BankTest":
+        """Return the same test of a bank under other bounds."""
+        assert relations.linear is not None, "it is a bank of such"
+        return BankTest(relations.linear, self.dtype)
 
     @cached_property
     def reading(self) -> Reading:
@@ -112,7 +125,7 @@ class BankTest(LinearTest):
         status = status_of_words(words, r.count)
         nothing = (judged.status == Status.FAULT) & (status != Status.FAULT)
         margin = np.where(nothing, 0, judged.margin).astype(judged.margin.dtype)
-        return Judged(status, margin, words), doubtful
+        return judged._replace(status=status, margin=margin, words=words), doubtful
 
     def unproved(self, judged: Judged) -> Judged:
         """Return the verdicts with UNDECIDED in place of CONSISTENT for every relation; see

@@ -127,6 +127,7 @@ class BisectionTest(WindowTest):
         whole = starts[~lacking & ~endless]
         if len(whole):
             cases.append((self, whole))
+        # an infinite sample is a sample, which no inclusion of f can follow
         if endless.any():
             cases.append((Open(self, np.nan), starts[endless]))
         return cases
@@ -144,6 +145,7 @@ class BisectionTest(WindowTest):
         status = np.array(search_unknowns(self.relations, U, Y, self.budget).status)
         outside = np.flatnonzero(status == Status.FAULT)
         if len(outside):
+            # until NumPy has excluded all unknowns for everything that rounds to these samples
             status[outside] = Status.UNDECIDED
             # a primitive of a newer jax, which NumPy does not know, excludes nothing
             with outside_xla(), contextlib.suppress(NotImplementedError):

@@ -75,10 +75,12 @@ class HostImage:
         of_rows, of_inputs = rows.sizes()
         outer, inner = of_rows[order[: len(R)]], of_rows[order[len(R) :]]
         gamma, floor = map(float, rounding.search_error(len(R), len(R.T), len(K.T), np.float64))
+        # an underflow may be multiplied by a number of R or K on its way into a row
         largest = 1 + max(np.abs(R).max(initial=0), np.abs(K).max(initial=0))
         floors = floor * largest * largest * (1 + outer.sum(0) + inner.sum(0) + of_inputs.sum(0))
         magnitude = outer + _times(np.abs(R), inner) + _times(np.abs(K), of_inputs)
         ends = cls._ends(rows, R, K, order)
+        # the sum of slips is itself a sum of rounded numbers
         ends["off"] = (1 + gamma) * ends["off"]
         return cls(R, K, **ends, size=inner, magnitude=magnitude, gamma=gamma, floor=floors)
 
@@ -88,10 +90,12 @@ class HostImage:
     ) -> Self:
         """Return the rows of windows of a model in whole numbers."""
         rows, c, k = HostRows(reading, u, y, model=model), len(frame.outer), len(frame.inner)
+        # one number for all rows: a combination of them stays whole
         numbers, scale = over_one([*frame.R, *frame.K])
         R, K = np.array(numbers[:c], object).reshape(c, k), np.array(numbers[c:], object).reshape(c, -1)
         order = np.array([*frame.outer, *frame.inner], int)
         size, magnitude, floor = (np.zeros((count, y.shape[2])) for count in (k, c, 1))
+        # what a row leaves out of its bound reaches z through the row, and through those of R
         left = rows.floor() * (scale + np.abs(R).sum(1, keepdims=True))
         return cls(
             R,
@@ -113,6 +117,7 @@ class HostImage:
         known, slips, missing = rows.known()
         lost = missing
         if missing.any():
+            # an input that no row here looks at may be anything, and is no unknown
             lost = missing & ((K != 0).T.astype(float) @ there[: len(R)] > 0)
         off = _times(np.abs(K), np.where(missing, 0, slips))
         known, most = np.where(missing, 0, known), int(lost.sum(0).max(initial=0))
@@ -126,6 +131,7 @@ class HostImage:
 
     def known_with(self, lost: np.ndarray) -> np.ndarray:
         """Return the inputs (l, N), those that are lost (n, N) from `known` on."""
+        # a row more, into which windows with fewer lost inputs write
         known = np.concatenate([self.known, np.zeros((1, self.known.shape[1]), self.known.dtype)])
         np.put_along_axis(known, self.slots, np.take_along_axis(known, self.slots, 0) + lost, 0)
         return known[:-1]
@@ -176,6 +182,7 @@ class HostImage:
     @cached_property
     def slots(self) -> np.ndarray:
         """(n, N): the numbers of the inputs that are lost, then l."""
+        # stable: the lost ones come first, in their order
         order = np.argsort(~self.lost, axis=0, kind="stable")[: self.most]
         return np.where(np.take_along_axis(self.lost, order, 0), order, len(self.lost))
 
@@ -188,6 +195,7 @@ class HostImage:
         R, K = ((M / self.scale).astype(float) for M in (self.R, self.K))
         lost = np.concatenate([K, np.zeros((c, 1))], 1)[:, self.slots].transpose(2, 0, 1)
         whole = np.concatenate([np.broadcast_to(R, (N, *R.shape)), lost], 2)
+        # a row without a sample tells nothing of any unknown
         return np.where(self.there[:c].T[:, :, None], whole, 0)
 
     @cached_property
@@ -218,16 +226,19 @@ def contradicted(image: HostImage, h: np.ndarray, reach: np.ndarray) -> np.ndarr
         reach: (N, k + n), of unknowns without bounds their V; 0 where h cancels them exactly.
     """
     (c, k), h = image.R.shape, np.where(image.there[: len(h)], h, 0)
+    # y_outer - R y_inner = K u: h weighs outer rows, and -R'h the inner ones
     weights = np.concatenate([image.scale * h, np.where(image.there[c:], -_times(image.R.T, h), 0)])
     value = (_times(image.K.T, h) * image.known).sum(0)
     off = image.off + image.left
     if not image.exact:
+        # twice: h was rounded once as well
         off = off + 2 * image.gamma * image.magnitude + image.floor
     error = (np.abs(h) * off).sum(0)
     if not image.exact:
         error = error + image.floor
         if reach.any():
             error = error + _leaked(image, h, reach)
+        # the sums of this bound are rounded too
         error = error * (1 + 64 * (c + k) * UNIT)
     return image.excludes(weights, value, error)
 
@@ -256,6 +267,7 @@ def explained(image: HostImage, x: np.ndarray) -> np.ndarray:
     if not image.exact:
         sizes = _times(np.abs(image.R), np.abs(inner)) + _times(np.abs(image.K), np.abs(known))
         sizes = np.concatenate([image.magnitude + sizes, image.size + np.abs(inner)])
+        # unknowns of any size: what rounding adds is relative to what they are, not to the samples
         error = image.gamma * sizes + image.floor * (1 + sizes.sum(0) + np.abs(known).sum(0))
     error[:c] += image.off
     scale = np.where(np.arange(c + k) < c, np.array(image.scale, values.dtype), 1)[:, None]

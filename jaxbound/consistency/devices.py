@@ -62,6 +62,7 @@ def on_devices(
     out, tree = jax.tree.flatten(together(kernel, mesh, axis, constants, *stacked))
     of_device = []
     for x in out:
+        # each result stays on its device: it is fetched when somebody reads it
         of_device.append({shard.device: shard.data for shard in x.addressable_shards})
     results = []
     for device in devices[:count]:

@@ -19,6 +19,7 @@ import jax
 import numpy as np
 
 from jaxbound.consistency.devices import everywhere, on_devices
+from jaxbound.consistency.extrapolated import outside_test
 from jaxbound.consistency.interface import (
     Array,
     Arrays,
@@ -107,6 +108,7 @@ def _folded(observer: Observer[Any], given: Recording) -> Verdicts:
         )
         return stacked
     begins = length * np.arange(math.prod(lead))
+    # the first sample of each recording follows nothing
     starts = (np.concatenate([[0], given.starts]) + begins[:, None]).ravel()
     excluded = given.excluded
     if excluded is not None:
@@ -132,12 +134,57 @@ def windows(
     progress: Progress | None = None,
     size: int | None = None,
 ) -> Judged:
-    """Return the verdicts that `drive` gives for a Recording of these samples.
+    """Return the verdicts that `drive` gives for a Recording of these samples: of windows outside the region
+    of training under the bounds that they have there.
 
     Args:
         test, progress: as for `drive`. u: (..., T, m). y: (..., T, p). starts: of that Recording. size:
             windows at once; None: as the test says.
     """
+    judged = _as_stated(test, u, y, starts, progress, size)
+    beyond = outside_test(test)
+    if beyond is None:
+        return judged
+    region, other = beyond
+    departure = region.departure(np.asarray(u), judged.status == Status.MISSING)
+    at = np.flatnonzero(departure.share > 0)
+    if not len(at):
+        return judged
+    first, samples = stretches_around(at, test.horizon)
+    wide = _as_stated(other, end_to_end(u)[samples], end_to_end(y)[samples], first[1:], size=size)
+    here = np.searchsorted(samples, at)
+
+    def both(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+        flat = np.array(mine).reshape(*mine.shape[: theirs.ndim - 1], -1)  # words of relations stand first
+        flat[..., at] = theirs[..., here]
+        return flat.reshape(mine.shape)
+
+    words = judged.words
+    if words is not None and wide.words is not None:
+        words = both(words, wide.words)
+    return Judged(both(judged.status, wide.status), both(judged.margin, wide.margin), words)
+
+
+def stretches_around(at: np.ndarray, horizon: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return (where stretches of samples begin, the samples that windows at `at` need, each once)."""
+    begins = at - horizon
+    apart = np.flatnonzero(begins[1:] > at[:-1]) + 1  # windows that share no sample with those before
+    starts = np.concatenate([begins[:1], begins[apart]])
+    stops = np.concatenate([at[apart - 1], at[-1:]]) + 1
+    lengths = stops - starts
+    samples = np.arange(lengths.sum()) + np.repeat(starts - np.cumsum(lengths) + lengths, lengths)
+    return np.cumsum(lengths) - lengths, samples
+
+
+def _as_stated(
+    test: WindowTest,
+    u: Array,
+    y: Array,
+    starts: np.ndarray,
+    progress: Progress | None = None,
+    size: int | None = None,
+) -> Judged:
+    """Return the verdicts of windows under the bounds of a test, wherever they lie. Args: as of `windows`."""
     flat_u, flat_y, block = end_to_end(u), end_to_end(y), size or test.block
     shape, report = y.shape[:-1], _rising(progress)
     decided = partial(_decided, test, flat_u, flat_y, shape, starts, report, block)
@@ -160,7 +207,7 @@ def windows(
 
     def missing(some_u: np.ndarray, some_y: np.ndarray) -> np.ndarray:
         with outside_xla():
-            alone = windows(test, some_u, some_y, NOWHERE, size=block)
+            alone = _as_stated(test, some_u, some_y, NOWHERE, size=block)
         return np.asarray(alone.status[:, -1] == Status.MISSING)
 
     with searching():
@@ -203,9 +250,12 @@ def _decided(
 
 
 def raw_outputs(test: WindowTest, u: Array, y: Array, starts: np.ndarray) -> list[np.ndarray]:
-    """Return the `outputs` (..., T) of a test, before a FAULT is confirmed; arguments as of `windows`."""
+    """Return the `outputs` (..., T) of a test, without `columns`, before a FAULT is confirmed; arguments as
+    of `windows`.
+    """
     flat_u, flat_y = end_to_end(u), end_to_end(y)
-    return _filled(test, flat_u, flat_y, y.shape[:-1], starts, reporter(None), test.block)
+    outs = _filled(test, flat_u, flat_y, y.shape[:-1], starts, reporter(None), test.block)
+    return outs[: len(outs) - len(test.columns)]
 
 
 def _filled(
@@ -244,10 +294,11 @@ def _contradicted(
         size = max(size, AGAIN)
     for first in range(0, len(starts), size):
         chosen = slice(first, first + size)
+        # each window by itself, a recording of its own: seams between them are no matter
         at = starts[chosen, None] + np.arange(test.horizon + 1)
         # A primitive of a newer jax, which NumPy does not know, confirms nothing.
         with outside_xla(), contextlib.suppress(NotImplementedError):
-            judged = windows(test, u[at], y[at], NOWHERE, size=size)
+            judged = _as_stated(test, u[at], y[at], NOWHERE, size=size)
             refuted[chosen] = judged.status[:, -1] == Status.FAULT
     return refuted
 
@@ -457,6 +508,7 @@ class _Gathering:
         groups = [starts[i : i + together] for i in range(0, len(starts), together)]
         workers = len(devices)
         if test.threads:  # where the host waits, others use the cores
+            # where devices are many each has threads of its own already
             workers = max(2, CORES // len(devices))
         elif test.sharded:
             workers = 1
@@ -501,20 +553,22 @@ class _Gathering:
 
     def _proved(self, part: np.ndarray, block: Block, judged: Arrays) -> Arrays:
         """Return the arrays of a block, with each FAULT left open that its hints do not prove."""
-        if len(judged) <= len(self.filling.outs) + 1:
+        count = len(self.filling.outs)
+        if len(judged) <= count + 1:
             return judged
-        margin, open_, *hints = judged
+        margin, *numbers = judged[:count]
+        open_, *hints = judged[count:]
         margin, open_ = np.asarray(margin)[: len(part)], np.asarray(open_)[: len(part)]
         faulty = np.flatnonzero(margin < 0)
         if not len(faulty) or is_outside_xla():  # where NumPy judged, nothing has to be seen again
-            return margin, open_
+            return margin, *numbers, open_
         proved = self.test.refuted(*(np.asarray(x)[..., faulty] for x in (*block, *hints)))
         wrong = faulty[~proved]
         if len(wrong):
             margin, open_ = margin.copy(), open_.copy()
             margin[wrong], open_[wrong] = 0, True
             self.filling.doubtful.append(part[wrong] + self.test.horizon)
-        return margin, open_
+        return margin, *numbers, open_
 
     def _write(self, chosen: np.ndarray, arrays: Arrays) -> np.ndarray:
         """Write the values of the windows that start at `chosen`; return the starts left open."""

@@ -135,7 +135,7 @@ class ExchangeTest(SignedTest):
         """Decide in whole numbers what rounding leaves open far from the boundary, and in NumPy what the
         search does, be it the size of a margin: as where all windows are searched there.
         """
-        (margin,) = outs
+        margin, *_ = outs
         starts = np.flatnonzero(margin == 0) - self.horizon
         lacking = self._lacking(u, y, starts)
         if len(starts):  # where bounds are as thin as rounding no search in floats decides, however long

@@ -58,8 +58,10 @@ class GainsTest(HolesTest):
         number = np.array([row.number if row.kind is Kind.READING else outputs for row in order])
         own = number == np.arange(outputs + 1)[:, None]
         sigma = np.append(doubles(self.reading.tolerance), 0)[:, None]
+        # the last row, of disturbances, has the gain 1
         low, high, fixed = 1 / (1 + sigma), 1 / (1 - sigma), sigma == 0
         slip = 4 * UNIT
+        # a wider box refutes, a narrower one explains: rounding of the ends harms neither
         around = np.where(fixed, 1, low * (1 - slip)), np.where(fixed, 1, high * (1 + slip))
         within = np.minimum(low * (1 + slip), 1), np.maximum(high * (1 - slip), 1)
         return _Gained(**vars(rows), gains=around, inner=within, own=own)
@@ -69,6 +71,7 @@ class GainsTest(HolesTest):
         assert isinstance(image, _Gained)
         gains, found = image.searched(image.acting)
         tolerance = np.asarray(self.reading.tolerance)[:, None]
+        # how much of its tolerance each gain uses counts as any bound does
         off = np.abs(1 / gains[:-1] - 1) / np.where(tolerance > 0, tolerance, np.inf)
         factor = np.maximum(image.factor(gains, found.x), off.max(0))
         return found._replace(t=factor), image.at(np.clip(gains, *image.inner))
@@ -122,6 +125,7 @@ class _Gained(HostImage):
         (lo, hi), used = self.gains, weights != 0
         one, other = np.where(used, weights * self.lo, 0), np.where(used, weights * self.hi, 0)
         below, above = self.own @ np.minimum(one, other), self.own @ np.maximum(one, other)
+        # extreme at the ends of each gain: the sum of its rows is linear in it
         least, most = np.minimum(lo * below, hi * below), np.maximum(lo * above, hi * above)
         return excludes_0(least.sum(0) - value, most.sum(0) - value, 4 * hi.max() * error)
 
@@ -172,7 +176,9 @@ class _Gained(HostImage):
         x, h = fit.x * scale, np.where(there, fit.h / unit, 0)
         gains = np.tile(mid[:, None], count)
         gains[moves] += half[moves, None] * x[:, width:].T
+        # far outside anyway: a search without a solution must not overflow
         gains = np.clip(gains, lo / 2, 2 * hi)
+        # of both sides of a row one at most counts
         h = (h[:, :c] + h[:, c + k : 2 * c + k]).T
         top = np.abs(h).max(0, initial=0)
         telling = np.where(fit.telling < 0, -1, fit.telling % (c + k))[:, :width]

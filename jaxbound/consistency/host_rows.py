@@ -148,6 +148,7 @@ class HostRows:
         if y.ndim == 3:
             inputs = reading.inputs(u)
             if reading.window.lags is not None:
+                # a sample that lags do not look at must not widen what the recorder rounds away
                 used = np.where(reading.window.used[:, :, None], y, np.nan)
         offsets = {"u": doubles(reading.offset_u).tolist(), "y": doubles(reading.offset_y).tolist()}
         self._in: _Doubles = _Doubles(y)
@@ -264,11 +265,13 @@ class HostRows:
         factor = r.factor(self._u, i)
         if factor is not None:
             noise = own.factored(noise, factor)
+        # noise, resolution, what the recorder rounded, and what these sums lose
         rho = (self._slip(i, noise) + (noise + 4 * own.tiny)) * own.slightly
         d = _moved(self._samples[:, i], offset)
         lo, hi = d - rho, d + rho
         if sigma and not self._certain:
             wide, near = 1 / (1 - sigma), 1 / (1 + sigma)
+            # extreme at an end of the tolerance, which end depends on the sign
             lo = np.minimum(own.times(lo, wide), own.times(lo, near))
             hi = np.maximum(own.times(hi, wide), own.times(hi, near))
         if self.exact:
@@ -276,6 +279,7 @@ class HostRows:
         widest = rho
         if factor is not None:
             widest = np.max(rho, 0)
+        # the largest factor, a little more than its float
         most = float(1 / (1 - sigma)) * SLIGHTLY
         return Series(lo, hi, (self._largest[i] + abs(offset) + widest) * most)
 

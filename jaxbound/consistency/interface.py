@@ -82,6 +82,8 @@ Outputs: TypeAlias = Sequence[tuple[DTypeLike, float]]
 """((dtype, value where there is no window), ...), one for each array over samples."""
 Outs: TypeAlias = Sequence[np.ndarray]
 """Arrays of `Outputs` over all samples."""
+Columns: TypeAlias = Mapping[str, np.ndarray]
+"""{name: (..., T) numbers} beside status and margin."""
 Cases: TypeAlias = Sequence[tuple["WindowTest", np.ndarray]]
 """Tests, each with the starts of the windows that it judges."""
 Result = TypeVar("Result", covariant=True)
@@ -124,7 +126,8 @@ class Judged(NamedTuple):
     None; departure: from the region of training, None: it is not known, or not asked for. by: of a monitor
     the numbers of the tests that speak, -1 where none does: of those that prove a FAULT, else of all, that of
     the least margin; names of all its tests, where they are asked for; statuses, test_margins: (T, tests) of
-    each of them; else None.
+    each of them; else None. columns: {name: (..., T) numbers} that a test hands over beside; nobody on the
+    way to a Result, a file or a page asks what they are.
     """
 
     status: np.ndarray
@@ -135,6 +138,14 @@ class Judged(NamedTuple):
     names: tuple[str, ...] = ()
     statuses: np.ndarray | None = None
     test_margins: np.ndarray | None = None
+    columns: Columns = {}  # no proxy: verdicts are a PyTree
+
+    @property
+    def outside(self) -> np.ndarray:
+        """(..., T): as of a Result, 0 inside the region of training; NaN where it is not known."""
+        if self.departure is None:
+            return np.full(np.shape(self.margin), np.nan)
+        return self.departure.share
 
 
 class Watch(NamedTuple):
@@ -458,11 +469,15 @@ class WindowTest:
     """How many windows are judged at once where there are few."""
     easy_first: bool = True
     """Whether easy windows are settled before the search; else they are asked of what it leaves open."""
+    columns: ClassVar[Mapping[str, tuple[DTypeLike, float]]] = MappingProxyType({})
+    """{name: (dtype, value where there is no window)} of numbers that `judge` hands over behind the verdicts;
+    so do those who settle windows in its place."""
 
     def __init__(self, relations: Relations, method: str, dtype: DTypeLike) -> None:
         self.relations, self.method, self.dtype = relations, method, np.dtype(dtype)
         self.horizon = relations.horizon
         self.placed: dict[tuple[jax.Device, ...], object] = {}  # `constants` on devices, as `drive` puts them
+        self.outside: dict[str, object] = {}  # by `margins_are`, the test of windows outside of training
 
     @cached_property
     def kind(self) -> Hashable:
@@ -513,10 +528,16 @@ class WindowTest:
         """Return the same test with exact margins."""
         return self
 
+    def under(self, relations: Relations) -> WindowTest:
+        """Return the same test of the same relations under other bounds."""
+        test = relations.test(self.method, self.dtype)
+        assert not test.remembers, "they are relations of windows"
+        return test
+
     @property
     def outputs(self) -> Outputs:
-        """The arrays over samples that `judge` fills: by default status and margin."""
-        return (np.dtype(np.int8), Status.MISSING), (self.dtype, np.nan)
+        """The arrays over samples that `judge` fills: by default status, margin and `columns`."""
+        return (np.dtype(np.int8), Status.MISSING), (self.dtype, np.nan), *self.columns.values()
 
     def cases(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray) -> Cases:
         """Return [(test, starts)]: the tests that judge windows, and the samples with which these start.
@@ -593,10 +614,10 @@ class WindowTest:
         Tested alone, relations that all hold need not hold together: by "box" no window is CONSISTENT unless
         there is a single relation.
         """
-        status, margin = outs
+        status, margin, *numbers = outs
         if self.method == "box" and self.relations.count > 1:
             status = np.where(status == Status.CONSISTENT, np.int8(Status.UNDECIDED), status)
-        return Judged(status, margin)
+        return Judged(status, margin, columns=dict(zip(self.columns, numbers, strict=True)))
 
     def margins(self, given: Recording) -> jax.Array:
         """Return the unproved margins (..., T) of a recording: differentiable, under jit, vmap and grad.
@@ -624,15 +645,15 @@ class SignedTest(LinearTest):
 
     @property
     def outputs(self) -> Outputs:
-        """The margins: NaN where a window has no data, 0 where nothing is proved."""
-        return ((self.dtype, np.nan),)
+        """The margins, NaN where a window has no data, 0 where nothing is proved; and `columns`."""
+        return (self.dtype, np.nan), *self.columns.values()
 
     def judged(self, outs: Sequence[np.ndarray]) -> Judged:
         """Return the verdicts: the signs of the margins, MISSING where these are NaN."""
-        (margin,) = outs
+        margin, *numbers = outs
         consistent, undecided, fault = map(np.int8, (Status.CONSISTENT, Status.UNDECIDED, Status.FAULT))
         status = consistent * (margin > 0) + undecided * (margin == 0) + fault * (margin < 0)
-        return super().judged((status, margin))
+        return super().judged((status, margin, *numbers))
 
 
 def window_count(shape: tuple[int, ...], horizon: int) -> int:

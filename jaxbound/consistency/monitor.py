@@ -31,7 +31,7 @@ from jaxbound.consistency.interface import (
     margins_for,
     relations_of,
 )
-from jaxbound.models.region import Departure, Region
+from jaxbound.models.region import Region
 from jaxbound.recordings.factors import factors_of, known, narrowed
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import TOLERATED_STEP, all_starts
@@ -72,27 +72,6 @@ class PlacedState(NamedTuple):
 
     carry: Any
     u: np.ndarray
-
-
-@readable
-class Verdict(NamedTuple):
-    """Of the window that ends at a sample: status (a `Status` as int8) and margin, as in the Result of
-    `detect`, and its departure from the region of training (None: the model states no ranges); (N,) for N
-    samples.
-
-    CONSISTENT after FAULT does not say that a fault is repaired: see `Alarm`.
-    """
-
-    status: np.ndarray
-    margin: np.ndarray
-    departure: Departure | None = None
-
-    @property
-    def outside(self) -> np.ndarray:
-        """(N,): as of a Result, 0 inside; NaN where it is not known."""
-        if self.departure is None:
-            return np.full(np.shape(self.margin), np.nan)
-        return self.departure.share
 
 
 @readable
@@ -212,7 +191,8 @@ class Monitor:
                 s: it is then new where it is not dt (within 20 %) after the one before.
 
         Returns:
-            (state, Verdict) of the window that ends at this sample; MISSING until there is one.
+            (state, Judged) of the window that ends at this sample; MISSING until there is one. CONSISTENT
+            after FAULT does not say that a fault is repaired: see `Alarm`.
 
         Raises:
             ValueError: shapes that do not fit the model, an infinite sample, y narrower than dtype. The state
@@ -221,16 +201,7 @@ class Monitor:
         starts: Starts = (0,) if new else ()
         times = None if time is None else [time]
         state, judged = self.run(state, one_row(u, "u"), one_row(y, "y"), starts=starts, time=times)
-        if type(judged) is Verdict:
-            departure = judged.departure and judged.departure.cut(0)
-            return state, Verdict(judged.status[0], judged.margin[0], departure)
-        departure = getattr(judged, "departure", None)
-        if departure is not None:  # which holds a region, no array
-            judged = judged._replace(departure=None)
-        one = jax.tree.map(lambda x: x[0], judged)  # of an Observer
-        if departure is not None:
-            one = one._replace(departure=departure.cut(0))
-        return state, one
+        return state, jax.tree.map(lambda x: x[0], judged)
 
     def run(
         self, state: State, u: object, y: object = None, *, starts: Starts = (), time: ArrayLike | None = None
@@ -243,7 +214,7 @@ class Monitor:
                 it.
 
         Returns:
-            (state, Verdict of arrays (N,)): what N calls of `step` return.
+            (state, Judged of arrays (N,)): what N calls of `step` return.
 
         Raises:
             ValueError: as `step`.
@@ -273,6 +244,7 @@ class Monitor:
         early = first_in_numpy(int(state.samples), count, weight, test.kind)
         verdict = self._judge(all_u, all_y, broken, first, first + early)
         follows = self._follows(own, begun, state)
+        # a window needs its last samples only
         keep = len(all_y) - s
         u, y = all_u[keep:].copy(), all_y[keep:].copy()
         after = MonitorState(u, y, np.int64(follows), state.samples + count, np.float64(last))
@@ -369,7 +341,7 @@ class Monitor:
         follows = count - begun.max() if len(begun) else count + state.follows
         return int(min(follows, self._test.horizon))
 
-    def _judge(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray, first: int, early: int) -> Verdict:
+    def _judge(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray, first: int, early: int) -> Judged:
         """Return the verdicts of all samples from the first on; those before it are known already.
 
         early: NumPy judges those before it, each by itself: the same bits, however a stream is cut.
@@ -377,17 +349,16 @@ class Monitor:
         with sparing(UNCOUNTED):
             parts = [self._ending(u, y, starts, end, end + 1) for end in range(first, early)]
         parts.append(self._ending(u, y, starts, early, len(y)))
-        status, margin = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-        judged = placed(Judged(status, margin), self.region, u, self.outside)
-        return Verdict(judged.status, judged.margin, judged.departure)
+        judged: Judged = jax.tree.map(lambda *x: np.concatenate(x), *parts)
+        return placed(judged, self.region, u, self.outside)
 
-    def _ending(
-        self, u: np.ndarray, y: np.ndarray, starts: np.ndarray, begin: int, end: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return (status, margin) of the windows that end from one sample to another."""
+    def _ending(self, u: np.ndarray, y: np.ndarray, starts: np.ndarray, begin: int, end: int) -> Judged:
+        """Return the verdicts of the windows that end from one sample to another."""
         size, low = None, max(begin - self._test.horizon, 0)
         if end - begin <= BURST * self._test.short:
             size = self._test.short
         own = starts[(starts > low) & (starts < end)] - low
         judged = windows(self._test, u[low:end], y[low:end], own, size=size)
-        return judged.status[begin - low :], judged.margin[begin - low :]
+        new = slice(begin - low, None)
+        columns = {name: x[new] for name, x in judged.columns.items()}
+        return Judged(judged.status[new], judged.margin[new], columns=columns)

@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
+from itertools import chain
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
@@ -31,6 +32,7 @@ from jaxbound.consistency.interface import (
     MONITOR,
     Bounds,
     Budget,
+    Columns,
     Judged,
     Observer,
     Relations,
@@ -242,7 +244,7 @@ class MonitorBank(Observer[BankState]):
         modes, device = self.modes_of(np.asarray(piece.u)), default_device()
         monitors = self.monitors  # built once, and not by each thread
 
-        def judged(number: int) -> tuple[Any, np.ndarray, np.ndarray]:
+        def judged(number: int) -> tuple[Any, np.ndarray, np.ndarray, Columns]:
             one, state = monitors[number], carry.tests[number]
             own = self.seen_by(number, piece, modes, carry.modes)
             with jax.default_device(device):
@@ -251,7 +253,7 @@ class MonitorBank(Observer[BankState]):
             if own.excluded is not None:
                 status = np.where(own.excluded, np.int8(Status.MISSING), status)
                 margin = np.where(own.excluded, np.nan, margin)
-            return after, status, margin
+            return after, status, margin, getattr(found, "columns", {})
 
         tests = range(self.count)
         if self.count > 1 and 1 < piece.samples <= SIDE_BY_SIDE:
@@ -259,12 +261,13 @@ class MonitorBank(Observer[BankState]):
                 found_by_test = list(pool.map(inherited(judged), tests))
         else:
             found_by_test = list(map(judged, tests))
-        states, statuses, margins = zip(*found_by_test, strict=True)
+        states, statuses, margins, numbers = zip(*found_by_test, strict=True)
         last = modes[-1] if len(modes) else carry.modes
         # columns that lie together: all that is made of them is made test by test
         columns = np.stack(statuses).T, np.stack(margins).T
         together = combined(*columns, self.conditions_of, modes, self.complete)
-        return BankState(states, last), together
+        assert together.by is not None, "these are several tests"
+        return BankState(states, last), together._replace(columns=_columns_that_speak(numbers, together.by))
 
     def followed(self, carry: BankState, piece: Recording) -> tuple[BankState, Judged]:
         """Return the verdicts of `fold`, on the CPU as those of any observer; what compiles asks for the
@@ -316,6 +319,15 @@ class MonitorBank(Observer[BankState]):
             u, y = np.where(fails[:, None], np.nan, u), np.where(fails[:, None], np.nan, y)
             excluded = fails if excluded is None else fails | excluded
         return replace(piece, u=u, y=y, starts=starts, excluded=excluded, inputs=own)
+
+
+def _columns_that_speak(numbers: Sequence[Columns], by: np.ndarray) -> Columns:
+    """Return the columns of the tests that speak; NaN where none does, or it has no such column."""
+    columns = {name: np.full(len(by), np.nan) for name in dict.fromkeys(chain(*numbers))}
+    for number, own in enumerate(numbers):
+        for name, x in own.items():
+            columns[name] = np.where(by == number, x, columns[name])
+    return columns
 
 
 def combined(

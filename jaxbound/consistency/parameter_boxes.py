@@ -118,6 +118,7 @@ class PolynomialBoxes(ParameterBoxes):
             return _refutes(c, G, terms.error, h), h, lean
 
         margin, h, lean = judged_in_blocks(one, lo, hi, window, size)
+        # NaN refutes nothing, and is no hint that a closer look would
         return Look(np.nan_to_num(margin, nan=1.0), h, lean)
 
     def refuted(self, leaves: Leaves) -> np.ndarray:
@@ -133,6 +134,7 @@ class PolynomialBoxes(ParameterBoxes):
                 row = np.full(x.shape[1], whole, x.dtype)
                 if i >= 0:
                     row = x[i]
+                # boxes share their ends: fractions are made once for each number that occurs
                 few, which = np.unique(row, return_inverse=True)
                 exact = [p.centre + radius * Fraction(float(v)) for v in few]
                 columns.append(rounded(exact, np.float64)[which.ravel()])

@@ -91,6 +91,7 @@ def _outside(f: Callable[..., Any], lo: jax.Array, hi: jax.Array, args: tuple[ja
     for x in jax.vmap(image, in_axes=-1)(lo, hi, *args):
         out = (x.lo > 0) | (x.hi < 0)
         off, room = jnp.maximum(x.lo, -x.hi), 0.5 * (x.hi - x.lo)
+        # how far 0 lies outside, in half-widths of the image; inside it is how near to a side
         share = -off / jnp.where(room > 0, room, 1)
         near = jnp.maximum(jnp.nan_to_num(share, nan=1.0), 0)
         worst = jnp.minimum(worst, jnp.where(out, jnp.minimum(share, -least), near))

@@ -4,6 +4,7 @@ bisected.
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,17 @@ from jax.typing import DTypeLike
 
 from jaxbound.consistency.bisection import whole_budget
 from jaxbound.consistency.drive import raw_outputs
-from jaxbound.consistency.interface import Array, Arrays, Budget, Cases, Open, Outs, Run, WindowTest
+from jaxbound.consistency.interface import (
+    Array,
+    Arrays,
+    Budget,
+    Cases,
+    Open,
+    Outs,
+    Relations,
+    Run,
+    WindowTest,
+)
 from jaxbound.consistency.parametric_margins import parametric_margins
 from jaxbound.consistency.parametric_windows import (
     BLOCK,
@@ -93,6 +104,10 @@ class ParametricTest(WindowTest):
         """How many windows are judged at once where there are few: no fewer where kernels are compiled."""
         return LACKING if self.lacking else self.block
 
+    def under(self, relations: Relations) -> WindowTest:
+        """Return the same test under other bounds, with as many boxes."""
+        return type(self)(cast(PolynomialRelations, relations), self.method, self.dtype, self.budget)
+
     @cached_property
     def reading(self) -> PolynomialReading:
         """How kernels read a window."""
@@ -134,7 +149,7 @@ class ParametricTest(WindowTest):
 
     def settle(self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, progress: Progress) -> None:
         """Bisect the parameters of windows that were left open."""
-        status, margin = outs
+        status, margin, *_ = outs
         for first in range(0, len(left), SEARCHED):
             at = left[first : first + SEARCHED] + self.horizon
             windows = finite(gather(u, y, at - self.horizon, self.lags, self.horizon))

@@ -57,10 +57,12 @@ def _vertex_margins(reading: PolynomialReading, vertices: bool, u: jax.Array, y:
         t = polynomials.vertex_gauge(value, spread, rad, reading.exponents)[0]
     else:
         c, G = polynomials.image(value, spread, rad, reading.exponents)
+        # the envelope theorem: the optimum moves, its value changes as if it stood
         h, z = jax.lax.stop_gradient(varying.farthest(*jax.lax.stop_gradient((c, G, 0 * c))))
         residual = jnp.abs(jnp.sum(jax.lax.stop_gradient(h * c), 0))
         width = jnp.sum(jnp.abs(jnp.sum(jax.lax.stop_gradient(h[:, None] * G), 0)), 0)
         change = jnp.sum(h * (c + jnp.sum(G * z[None], 1)), 0) * jnp.where(jnp.sum(h * c, 0) < 0, -1, 1)
+        # the value of the one, the derivative of the other: what is added is 0
         t = _ratio(residual, width) + _ratio(change - jax.lax.stop_gradient(change), width)
     return jnp.where(jnp.any(gone, 0), jnp.nan, 1 - t)
 

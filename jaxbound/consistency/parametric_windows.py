@@ -77,6 +77,7 @@ def cases(
     if not len(broken):
         return
     patterns, which, often = np.unique(lost[broken], axis=0, return_inverse=True, return_counts=True)
+    # the commonest patterns first: relations are made for these
     order = np.argsort(-often, kind="stable")
     rare = np.isin(which.ravel(), order[PATTERNS:])
     if rare.any():
@@ -136,6 +137,7 @@ def alone(reading: PolynomialReading, terms: Polynomials, proved: bool) -> tuple
         else:
             c, G = polynomials.image(value[row], spread[row], rad, reading.exponents)
             margin = varying.refutes(c, G, error[row], jnp.ones_like(c))
+            # a sum of parts holds the range, and may hold more: it refutes, and explains nothing
             inside = inside & False
         worst = jnp.minimum(worst, margin)
     decided = jnp.where(worst < 0, Status.FAULT, jnp.where(inside, Status.CONSISTENT, Status.UNDECIDED))
@@ -165,6 +167,7 @@ def candidates(
     lumps = len(reading.N) if reading.noisy and len(reading.exponents) > 1 else 0
     noises = z[len(z) - lumps - len(reading.noisy) : len(z) - lumps]
     start = jnp.concatenate([jnp.clip(mid + radius * z[: len(mid)], -1, 1), noises])
+    # the parameter along which relations bend most: halving it tightens the image most
     axis = jnp.argmax(polynomials.bends(value, reading.exponents, radius), 0)
     return Polynomials(value, error, spread, rad), (c, G), Hints(h, start, axis)
 
@@ -200,6 +203,7 @@ def _newton(reading: PolynomialReading, terms: Polynomials, z: jax.Array) -> tup
     """Return (the next point of Newton's method, the At of this one)."""
     p, J, bend = polynomials.slopes(terms.value, terms.spread, terms.rad, reading.exponents, z)
     R = varying.right_inverse(J, z)
+    # not onto a side: a proof needs room around the zero
     moved = jnp.clip(z - jnp.sum(R * p[None], 1), z - SHARE * (1 + z), z + SHARE * (1 - z))
     return moved, (z, p, J, bend, R)
 

@@ -109,6 +109,7 @@ class PolynomialReading:
         fine = jnp.isfinite(x) & jnp.isfinite(magnitude)
         x, magnitude = jnp.where(fine, x, 0), jnp.where(fine, magnitude, 0)
         rad = jnp.where(fine[: len(rad)], rad, 0)
+        # an infinite sample: nothing is proved, and nothing is missing
         broken = jnp.any(~fine & ~gone, 0)
         value, size = _times(coefficients, x), _times(abs(coefficients), magnitude)
         absent = jnp.any(jnp.any(coefficients != 0, 1)[..., None] & gone[None], 1)
@@ -116,6 +117,7 @@ class PolynomialReading:
         gamma, least = rounding.residual_error(self.N.shape[2] + self.K.shape[2] + order + 2, mid.dtype)
         floor = (least * (1 + jnp.sum(magnitude, 0)) * self._lift(order))[None, None]
         error = jnp.where(broken[None, None], jnp.inf, 2 * (gamma * size + floor))
+        # known to a few roundings: cheaper as an error than as a variable of its own
         quiet = np.array([j for j in range(mid.shape[0]) if j not in self.noisy], int)
         if len(quiet):
             rest = jnp.sum(jnp.sum(abs(N[:, :, quiet]), 1)[..., None] * rad[quiet][None], 1)

@@ -81,6 +81,7 @@ class EasyWindows(_Easy):
     def refuted(self, u: np.ndarray, y: np.ndarray, *hints: np.ndarray) -> np.ndarray:
         """Return which windows the combinations of the search contradict: `contradicted_by`."""
         frame, (h,) = self.reading.frame, hints
+        # the projection left out rows that the window does not look at
         whole = np.zeros((len(frame.outer), y.shape[2]), self.dtype)
         whole[np.isin(frame.outer, self.projection.outer)] = h
         return contradicted_by(self.reading, u, y, whole)
@@ -94,6 +95,7 @@ def _of_stretch(given: Given, u: jax.Array, y: jax.Array) -> jax.Array:
     s, count = given.reading.horizon, len(y) - given.reading.horizon
     size = PART
     if len(given.projection.inner) > SMALL:
+        # more inner rows, fewer windows: what a part holds has to stay in the cache
         size = PART // 4
     if count % size:
         size = count

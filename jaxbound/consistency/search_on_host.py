@@ -138,6 +138,7 @@ def _decided_exactly(image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np
     t, (inside, outside, idle) = np.zeros(image.lo.shape[1]), np.zeros((3, image.lo.shape[1]), bool)
     left, c = np.arange(len(t)), len(image.R)
     for number in range(ROUNDS):
+        # as shares of the largest number: floats hold no more than 1e308, whole numbers do
         top, values, radius = _in_floats(image)
         found = _searched(image, values, radius)
         x = np.where(np.isfinite(found.x), found.x, 0)
@@ -151,6 +152,7 @@ def _decided_exactly(image: HostImage, frame: ExactFrame, dtype: np.dtype) -> np
         open_ = np.flatnonzero(~idle[left] & (~(inside | outside)[left] | (number == 0)))
         if not len(open_):
             break
+        # the next search begins where this one ended: it finds the digits that were lost
         left, x, image = left[open_], x[:, open_] >> power, image.of_windows(open_)
         middle = image.middle.copy()
         middle[c:] += x[: len(middle) - c]
@@ -246,6 +248,7 @@ def _exact_combination(
     live, own = columns[telling[columns] >= 0], telling[columns[telling[columns] >= 0]]
     there = image.there[:c, w].astype(bool)
     others = np.setdiff1d(np.flatnonzero(there & np.isfinite(h) & (h != 0)), own)
+    # a row that tells an unknown has to be there itself
     if not there[own].all():
         return None
     if len(live) > FEW or len(columns) * (len(others) + len(own)) > WORK:
@@ -260,11 +263,13 @@ def _exact_combination(
     for f in live:
         rest = dot(weights, [coefficient(j, f) for j in others])
         system.append([*(coefficient(j, f) for j in own), -rest])
+    # the rows that tell are weighed so that each unknown cancels
     reduced, pivots = row_reduce(system)
     if pivots != tuple(range(len(live))):
         return None
     weights += [row[-1] for row in reduced]
     rows = [*others, *own]
+    # unknowns that are told together with others have to cancel too, with nothing left to choose
     for f in columns[telling[columns] < 0]:
         if dot(weights, [coefficient(j, f) for j in rows]):
             return None

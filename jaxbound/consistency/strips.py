@@ -44,7 +44,7 @@ class StripsTest(LinearTest):
 
     def settle(self, u: np.ndarray, y: np.ndarray, outs: Outs, left: np.ndarray, progress: Progress) -> None:
         """Decide in whole numbers what rounding leaves open far from the boundary."""
-        status, margin = outs
+        status, margin, *_ = outs
         starts = np.flatnonzero((status == UNDECIDED) & (margin == 0)) - self.horizon
         if len(starts):
             starts = starts[thin(self.reading, *gather(u, y, starts, self.lags, self.horizon))]

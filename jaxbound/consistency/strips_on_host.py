@@ -90,6 +90,7 @@ class HostStrips:
             for i, c in zip(strip.rows, strip.h, strict=True):
                 lo, hi, own = every[i]
                 if c < 0:
+                    # a negative coefficient turns the ends round
                     lo, hi = hi, lo
                 least, most, size = least + c * lo, most + c * hi, size + abs(c) * own
             for b, c in zip(strip.inputs, strip.k, strict=True):

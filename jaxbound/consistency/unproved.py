@@ -39,6 +39,7 @@ def unproved_margins(test: LinearTest, smooth: Smooth, given: Recording) -> jax.
     """
     margins: jax.Array
     if not is_traced(given.u, given.y, test.reading):
+        # margins are the last of the arrays, be there a status before them or not
         *_, on_host = raw_outputs(test.measured(), given.u, given.y, given.starts)
         margins = jax.device_put(on_host)
         return margins
@@ -69,6 +70,7 @@ def over_blocks(
     """Return the margins of windows u (lags, m, size), y (s + 1, p, size), of all that start at some samples
     of u (T, m), y (T, p), block after block.
     """
+    # the last window again and again: blocks of one size are one program
     filled = jnp.pad(starts, (0, -len(starts) % size), mode="edge").reshape(-1, size)
 
     def taken(x: jax.Array, first: jax.Array, lags: int) -> jax.Array:

@@ -44,6 +44,7 @@ def thin(reading: Reading, u: np.ndarray, y: np.ndarray) -> np.ndarray:
             noise = noise * _least_factors(reading, u, y)
         bound = noise + column(reading.resolution) + column(reading.tolerance) * least
     small = ~(bound > THIN[y.dtype] * rounding.unit(y.dtype) * (size + np.abs(offset))).all(0)
+    # a product of two such samples would overflow
     small |= (size > np.sqrt(np.finfo(y.dtype).max)).any(0)
     small |= (bound < 2.0**40 * rounding.tiny(y.dtype)).any(0)
     return np.asarray(small & finite(u, y))
@@ -86,12 +87,14 @@ def exact_strip_margins(
         h, k = whole[: len(exact_h)], whole[len(exact_h) :]
         i, j = np.flatnonzero(h), np.flatnonzero(k)
         h, k = h[i], k[j]
+        # both sides twice: hi + lo may be odd, and halves are no whole numbers
         middle = abs(h @ (lo[i] + hi[i]) - 2 * (k @ known[j]))
         width, slip = abs(h) @ (hi[i] - lo[i]), 2 * (abs(k) @ slips[j])
         silent, floor = missing[j].any(0), 2 * rows.floor() * abs(h).sum()
         present = ~(absent[i].any(0) | silent)
         out |= present & (middle - width - slip > floor).astype(bool)
         inside &= ((middle + slip <= width).astype(bool) | ~present) & ~silent
+        # the verdict is exact; the size of the margin may be the nearest float
         gauge = np.where(present, np.maximum(gauge, ratios(middle, width)), gauge)
     margin, least = 1 - gauge, np.finfo(y.dtype).eps
     proved = np.where(out, np.minimum(margin, -least), np.where(inside, np.maximum(margin, least), 0))

@@ -60,7 +60,8 @@ def detect(
             that the times of a table show are found.
         margins: "exact", or "bounds": a tenth of the work where a search decides; "auto": bounds from 131 072
             windows on. Alarms, .worst and .explain have exact ones.
-        outside: of windows outside the region of training, the model's `ranges`: "fault", or "undecided".
+        outside: of windows outside the region of training, the model's `ranges`, where bounds are as wide as
+            its `extrapolation` says: "fault", or "undecided".
 
     Returns:
         A Result: .status (..., T) int8 (`Status`), .margin (..., T); entry k belongs to the window that ends
@@ -107,8 +108,8 @@ def margins(relations: Relations, u: Data, y: Data = None, starts: Starts = ()) 
     """Return the signed margin of every window, 1 - t: t is the factor on all half-widths at which the window
     just becomes consistent.
 
-    The fast path: not rounded, no proof claimed. Differentiable in `relations.bounds`, y and u, under jit,
-    vmap and grad.
+    The fast path: not rounded, no proof claimed, bounds as stated everywhere. Differentiable in
+    `relations.bounds`, y and u, under jit, vmap and grad.
 
     Args:
         relations, u, y, starts: as for `detect`; no plant and no monitor.

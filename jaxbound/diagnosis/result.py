@@ -5,12 +5,13 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial, singledispatch
 from typing import TYPE_CHECKING, Any, cast
 
+import jax
 import numpy as np
 
 from jaxbound.certificates.diagnosis import Diagnosis
 from jaxbound.certificates.interface import WindowCertificate, explain
 from jaxbound.consistency.claims import CLAIMED, UNCLAIMED, unclaimed
-from jaxbound.consistency.interface import EXACT, Judged, Observer, WindowTest
+from jaxbound.consistency.interface import EXACT, Columns, Judged, Observer, WindowTest
 from jaxbound.consistency.searched import judging_device
 from jaxbound.diagnosis.alarmrule import EVERY_FAULT, AlarmRule
 from jaxbound.diagnosis.alarms import Alarm
@@ -54,7 +55,7 @@ class Result:
             single relation).
         margin: (..., T), 1 - t with t the common factor on all half-widths at which the window just becomes
             consistent; t = 3: the bounds would have to be three times as wide. For method "box" of the worst
-            residual alone. NaN where MISSING.
+            residual alone. Of a window outside of training of the bounds there. NaN where MISSING.
         method, relations: as given to `detect`.
         u, y: the recording as it was tested.
         index: the index of the DataFrame that y came from, or None.
@@ -70,6 +71,7 @@ class Result:
         outside_is: "fault", or "undecided": the word for FAULT outside the region of training, as given to
             `detect`.
         known: how many of the first samples were judged in a recording before, and are MISSING here.
+        columns: {name: (..., T) numbers} that the test hands over beside, see `WindowTest.columns`.
         apart: of a batch whose recordings have seams of their own, as tests of a monitor see them, those of
             each in turn, and `starts` those of all; else empty.
     """
@@ -89,6 +91,7 @@ class Result:
     margins: str = field(default=EXACT, kw_only=True, repr=False)
     outside_is: str = field(default=CLAIMED, kw_only=True, repr=False)
     known: int = field(default=0, kw_only=True, repr=False)
+    columns: Columns = field(default_factory=dict, kw_only=True)
     apart: tuple[tuple[int, ...], ...] = field(default=(), kw_only=True, repr=False)
 
     def _head(self) -> str:
@@ -302,8 +305,9 @@ class Result:
         """Return the verdicts of one recording, or of some samples, as alarms and files report them: margins
         of FAULT windows are exact.
         """
-        departure = self.departure and self.departure.cut(at)
-        return Judged(self.status[at], self.reported[at], departure=departure)
+        whole = Judged(self.status, self.reported, departure=self.departure, columns=self.columns)
+        cut: Judged = jax.tree.map(lambda x: x[at], whole)
+        return cut
 
     def when(self, k: int) -> object:
         """Return the time of sample k as the index has it: a Timestamp, a datetime64, seconds; None: there is
@@ -386,8 +390,8 @@ class Result:
         return diagnose(self, first, last, faults, recording)
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Return a DataFrame with the columns status (names), margin and suspect, one row a sample; and
-        outside, where there is a region of training.
+        """Return a DataFrame with the columns status (names), margin, suspect and .columns, one row a sample;
+        and outside, where there is a region of training.
 
         Its attrs["margins"] says whether margins are exact or bounds.
 
@@ -403,7 +407,8 @@ class Result:
             )
         names = pd.Categorical.from_codes(self.status, [s.name for s in Status])
         frame = pd.DataFrame(
-            {"status": names, "margin": self.margin, "suspect": self.suspect}, index=self.index
+            {"status": names, "margin": self.margin, "suspect": self.suspect, **self.columns},
+            index=self.index,
         )
         if self.departure is not None:
             frame["outside"] = self.outside
@@ -450,5 +455,6 @@ def found_by(
         device=judging_device(test.remembers),
         margins=test.margins_are,
         outside_is=outside,
+        columns=getattr(judged, "columns", {}),
     )
     return result_of(given, judged, result)

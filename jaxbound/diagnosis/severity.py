@@ -12,7 +12,7 @@ from typing import cast
 
 import numpy as np
 
-from jaxbound.consistency.drive import windows
+from jaxbound.consistency.drive import stretches_around, windows
 from jaxbound.consistency.interface import METHODS, Relations
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
@@ -84,7 +84,7 @@ class Severity:
                 break
             test = relations.test(self.method, y.dtype)
             assert not test.remembers, "an observer was refused"
-            first, samples = _stretches_around(at, relations.horizon)
+            first, samples = stretches_around(at, relations.horizon)
             with sparing():
                 judged = windows(test, u[samples], y[samples], first[1:])
             counts[at] = judged.status[np.searchsorted(samples, at)] == Status.FAULT
@@ -124,14 +124,3 @@ def fitted(rule: AlarmRule, relations: Relations) -> AlarmRule:
     if isinstance(rule.least, Mapping):
         Severity(relations, "joint", rule.least)
     return rule
-
-
-def _stretches_around(at: np.ndarray, horizon: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (where stretches of samples begin, the samples that windows at `at` need, each once)."""
-    begins = at - horizon
-    apart = np.flatnonzero(begins[1:] > at[:-1]) + 1  # windows that share no sample with those before
-    starts = np.concatenate([begins[:1], begins[apart]])
-    stops = np.concatenate([at[apart - 1], at[-1:]]) + 1
-    lengths = stops - starts
-    samples = np.arange(lengths.sum()) + np.repeat(starts - np.cumsum(lengths) + lengths, lengths)
-    return np.cumsum(lengths) - lengths, samples

@@ -131,7 +131,7 @@ class JointObserver(SetObserver[JointState]):
         L, c = self.window, zero(system.n)
         outputs, inputs = zero(L, system.p), zero(L, system.m)
         window = Samples(outputs, outputs + np.inf, inputs, inputs, zero(L, system.n) + np.inf)
-        prior = Prior(c, zero(system.n, system.n), c + np.inf, *self._no_strips(1))
+        prior = self._without_strips(c, zero(system.n, system.n), c + np.inf)
         return JointState(carry, np.int64(0), window, prior, prior, prior)
 
     def found(self, carry: JointState, samples: Piece) -> tuple[JointState, steps.Found]:
@@ -202,12 +202,12 @@ class JointObserver(SetObserver[JointState]):
         def repeated(x: np.ndarray) -> np.ndarray:
             return np.repeat(x[..., None], N, -1)
 
-        return Prior(repeated(center), repeated(sides), repeated(box), *self._no_strips(N))
+        return self._without_strips(repeated(center), repeated(sides), repeated(box))
 
-    def _no_strips(self, N: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return (mid, rad) of strips that say nothing."""
-        shape = len(self.windows.strips), N
-        return np.zeros(shape, self.plant.dtype), np.full(shape, np.inf, self.plant.dtype)
+    def _without_strips(self, c: np.ndarray, S: np.ndarray, r: np.ndarray) -> Prior:
+        """Return the set of first states whose strips say nothing."""
+        mid = np.zeros((len(self.windows.strips), r.shape[-1]), self.plant.dtype)
+        return Prior(c, S, r, mid, mid + self.plant.dtype.type(np.inf))
 
     def _path_on(self, state: JointState, number: int) -> Prior:
         """Return the path of the next block: the state in the middle of the window on a trajectory through
@@ -238,7 +238,7 @@ class JointObserver(SetObserver[JointState]):
         inner = np.nextafter(np.abs(S).astype(np.float64) - r[:, None], -np.inf)
         inner = rounding.round_down(np.maximum(inner, 0), self.plant.dtype)
         within = np.where(sides, np.sign(S) * inner, S)
-        path = Prior(c, within, np.zeros_like(r), *self._no_strips(r.shape[-1]))
+        path = self._without_strips(c, within, np.zeros_like(r))
         return _only(_is_known(state.mark) & ((S == 0) | sides).all((0, 1)), path)
 
     def _trajectories(self, path: Prior, window: Samples) -> tuple[np.ndarray, ...]:

@@ -65,6 +65,7 @@ def validate_parts(
         begin += part.n
     mu = model.mu(np.asarray(inputs, model.models[0].A.dtype))
     output, residual, corrected = _weighted_sum(mu, [(v.output, v.residual, v.corrected) for v in validated])
+    # a weighted sum lacks what any of its parts lacks
     absent = jnp.where(jnp.isnan(jnp.asarray(outputs, output.lo.dtype)).any(-2), jnp.nan, 0)
     return replace(
         validated[0],
@@ -103,6 +104,7 @@ def _agreed(each: np.ndarray) -> np.ndarray:
     all say.
     """
     agreed = np.where((each == each[0]).all(0), each[0], Status.UNDECIDED)
+    # one refuted sub-model refutes the sum of which it is a part
     return np.where((each == Status.FAULT).any(0), Status.FAULT, agreed).astype(np.int8)
 
 

@@ -41,6 +41,7 @@ def lasting(A: np.ndarray, C: np.ndarray, steps: int) -> np.ndarray:
     ]
     rows: list[np.ndarray] = []
     for row in (*slow, *(C @ np.linalg.matrix_power(A, steps))):
+        # directions that are nearly one already bounded add nothing
         length = np.linalg.norm(row)
         if (
             len(A) > 1
@@ -73,12 +74,14 @@ def parallelotope(
     """
     with np.errstate(invalid="ignore", over="ignore"):
         mid, rad = (lo + hi) / 2, np.maximum(hi - lo, 0) / 2
+        # what a middle lost by rounding is put on its radius
         rad = (rad + OFF * np.abs(mid)) * ROUNDED
         n, bounded = len(back), np.isfinite(mid) & np.isfinite(rad)
         near = np.where(bounded, mid, 0).astype(dtype)[n:]
         of_strips = (rad[n:] + np.abs(near - mid[n:])) * ROUNDED + 2.0**-100
         of_strips = rounding.round_up(np.where(bounded[n:], of_strips, np.inf), dtype)
         D, mid, rad = rows[:n], mid[:n], rad[:n]
+        # x = back (D x) + rest, and D x lies in a box: its sides are columns of back
         c, S = through(back, mid), back[:, :, None] * rad[None]
         rest = np.abs(np.eye(n) - back @ D) + OFF * np.abs(back) @ np.abs(D)
         off = through(rest, most) + through(OFF * np.abs(back), np.abs(mid) + rad)
@@ -95,6 +98,7 @@ def principal(x: Numbers, steps: int, blocks: int, dtype: np.dtype) -> list[tupl
     Any would do; these are rounded as they come. x: the model, in float64; steps: samples of a block.
     """
     size = max(float(np.max(x.noise, initial=0)), float(np.abs(x.W).max(initial=0)), 1e-6)
+    # variances of uniform errors: a third of the squared bound
     R, Q = (x.noise + x.tolerance * size) ** 2 / 3 + (1e-9 * size) ** 2, x.W @ x.W.T / 3
     P, out = np.eye(len(x.A)) * (1e4 * size) ** 2, []
     for _ in range(blocks + 1):
@@ -111,5 +115,6 @@ def principal(x: Numbers, steps: int, blocks: int, dtype: np.dtype) -> list[tupl
             shown = np.asarray(x.C @ P)
             # where outputs without an error show the same, the gain of least norm
             P = P - shown.T @ np.linalg.pinv(shown @ x.C.T + np.diag(R), hermitian=True) @ shown
+            # made symmetric: rounding would drive it apart over thousands of steps
             P = np.asarray(x.A @ (P + P.T) @ x.A.T / 2 + Q)
     return out

@@ -190,10 +190,12 @@ class SetObserver(Observer[State], Generic[State]):
     def _first_state(self) -> ObserverState:
         """The state of zonotopes that have seen nothing."""
         n, sets = self.plant.system.n, len(self.weights)
+        # the order is generators for each state
         sizes = n, int(self.order * n), self.plant.system.p, self.plant.system.m, self.plant.past
         carry = steps.unknown(sizes, self.weights.astype(self.plant.dtype))
         if self.x0 is not None:
             c, G, r = (np.repeat(x[..., None], sets, -1) for x in self.x0.padded(n)[:3])
+            # kernels take as many generators as the order allows, whatever x0 has
             G = np.pad(G, [(0, 0), (0, sizes[1] - G.shape[1]), (0, 0)])
             carry = carry._replace(c=c, G=G, r=r, age=np.zeros_like(carry.age))
         return ObserverState(carry, np.int64(0))

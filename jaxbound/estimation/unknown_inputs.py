@@ -150,6 +150,7 @@ def _determined(model: LinearSystem, s: int) -> list[int | None]:
     places: list[int | None] = [None] * model.d
     for j in range(model.d):
         for t in reversed(range(window.unknown_lags(model, s))):
+            # v_j is determined iff its unit row is a combination of rows that samples show
             unit = _unit_row(len(E[0]), model.n + t * model.d + j)
             if linalg.rank((*E, unit)) == rank:
                 places[j] = t
@@ -193,6 +194,7 @@ def _tightest_ways(model: LinearSystem, s: int, combinations: Iterable[Vector]) 
         """Return half the width of the interval that a way gives."""
         return sum(abs(float(x)) * r for x, r in zip(h, half, strict=True))
 
+    # scaled so that the sum is v itself
     ways = [tuple(-x / h[-1] for x in h[:-1]) for h in combinations if h[-1]]
     return tuple(sorted(ways, key=width)[:KEPT])
 

@@ -215,10 +215,12 @@ def slide(
         faulty = alone | (together & ~gone[s])
         gone = gone.at[s].set(gone[s] | faulty | unclear[None])
         output = show(X[:, None, s * n :], k)[:, 0]
+        # a sound sample is what the sensor said and the model allows, both
         corrected = jnp.where(gone[s], output, jnp.minimum(output, newest[:, 0]))
         # a sample that was accepted may still miss what all rows together imply
         corrected = jnp.where(none(corrected), output, corrected)
         if centre:
+            # as the paper does: nothing is proved of a sample that was moved
             shift = jnp.where(faulty, _mid(output) - _mid(newest[:, 0]), 0)
             gone = gone.at[s].set(gone[s] & ~faulty)
             moved = jnp.concatenate([samples[:, 1:s], newest + jnp.stack([-shift, shift])[:, None]], 1)
@@ -226,10 +228,12 @@ def slide(
         now = X[:, s * n :], added(output, through), residual, added(corrected, through)
         out = stored(jnp.concatenate(now, 1))
         wrong = jnp.concatenate([faulty, (jnp.any(faulty, 0) | unclear)[None]])
+        # the window moves on by one sample: its first state is forgotten
         X = jnp.concatenate([X[:, n:], _predict(plant, X[:, s * n :], signals.drive[:, k])], 1)
         carry = ValidationCarry(X, gone[1:], moved)
         return carry, (_put(carries, k + 1, carry), ends_of_all.at[k].set(out), blamed.at[k].set(wrong))
 
+    # each window's own, so that a FAULT can be followed again from the one before
     carries = jax.tree.map(lambda x: jnp.zeros((T + 1, *x.shape), x.dtype), carry)
     ends_of_all = jnp.full((T, 2, n + 3 * p, N), jnp.inf, signals.seen.dtype)
     blamed = jnp.zeros((T, p + 1, N), bool)
@@ -317,6 +321,7 @@ def _joint(M: jax.Array, p: int, h: jax.Array, X: jax.Array) -> tuple[jax.Array,
         alone = without[::-1]  # without the one is the other alone
     else:
         alone = fits[:1]
+    # two rows, either of which ends the contradiction, blame nobody
     single = jnp.sum(without, 0) == 1
     blamed = (contradiction & last)[None] & ((single[None] & without) | ~alone)
     return jnp.where(contradiction & ~single, X, states), blamed, contradiction & ~jnp.any(blamed, 0)
@@ -343,6 +348,7 @@ def _sequential(
     boxes = jnp.moveaxis(stored(solutions(systems, interval_of(h))), 1, 0)  # (q, 2, n, N)
     old, new = boxes[:-p], boxes[-p:]
     reference = _least([X, *old])
+    # older rows contradict the box: it alone is the reference then
     lost = jnp.any(none(reference), 0)
     unbounded = ~jnp.all(jnp.isfinite(X), (0, 1))  # the first window: its first system is all there is
     reference = stored(jnp.where(lost, jnp.where(unbounded, boxes[0], X), reference))

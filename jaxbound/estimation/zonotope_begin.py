@@ -280,6 +280,7 @@ def left_inverse(O: Matrix, noise: np.ndarray, kept: Sequence[int]) -> Matrix:
     )
     if N:
         most = noise.max() if noise.max() * 1e-6 else 1.0
+        # exact numbers from here on: K0 has to cancel x_0 without a rest
         weight = [Fraction(x) for x in (1 / np.maximum(noise / most, 1e-6) ** 2).tolist()]
         VN = linalg.transpose([[x / v for x, v in zip(row, weight, strict=True)] for row in N])
         across = linalg.matmul(linalg.matmul(K0, VN), linalg.inverse(linalg.matmul(N, VN)))
@@ -299,6 +300,7 @@ def _inverse_above(X: np.ndarray) -> np.ndarray | None:
         M = np.linalg.inv(np.eye(n) - X)
     except np.linalg.LinAlgError:
         return None
+    # a little more than the inverse, so that rounding leaves (I - X) M >= I to be seen
     M = np.asarray(M + 1e-6 * np.abs(M).sum(1, keepdims=True))
     rest = M - X @ M - np.eye(n)
     if not ((M >= 0).all() and (rest > 1e-9 * (M + X @ M + np.eye(n))).all()):

@@ -192,6 +192,7 @@ def follow_lanes(
     Returns:
         (carry, Found); what they have of other samples means nothing.
     """
+    # each weight is a recording of its own: one kernel, whatever their number
     each = jax.tree.map(lambda x: jnp.repeat(x, lanes, -1), samples)
 
     def step(k: jax.Array, state: tuple[ZonotopeCarry, Found]) -> tuple[ZonotopeCarry, Found]:
@@ -199,6 +200,7 @@ def follow_lanes(
         now = jax.tree.map(lambda x: _row(x, k), each)
         carry, size, row = _sample(plant, start, _begun_anew(carry, now.fresh), now, enclosures)
         refuted = jnp.any(carry.empty.reshape(-1, lanes), 1)  # by any of its sets
+        # the FAULT of this sample is kept; what is carried on knows nothing
         carry = _begun_anew(carry, restart & jnp.repeat(refuted, lanes))
         carry = _step_of_time(plant, carry, size, now)
         return carry, jax.tree.map(
@@ -254,6 +256,7 @@ def _sample(
         shown = _shown(plant, g, outputs, i, sets)
         alone = _shown(plant, g, outputs, i, before)
         tested, s = _row(there, i), _row(outputs.rad, i)
+        # outputs one after the other: a later one is compared with what earlier ones left
         e = _row(outputs.mid, i) - shown.value
         # either set holds the state: the one that earlier outputs narrowed, and the one before the sample
         for far, bound in ((e, shown.reach + s), (_row(outputs.mid, i) - alone.value, alone.reach + s)):
@@ -268,6 +271,7 @@ def _sample(
     empty = carry.empty | (looked & wrong)
     status = jnp.where(empty, Status.FAULT, jnp.where(looked, Status.UNDECIDED, Status.MISSING))
     status = status.astype(jnp.int8)
+    # of the worst output: what all of them say together would take a linear program
     margin = jnp.where(looked, 1 - ratio, jnp.nan)
     age = jnp.where(alive & bounded & ~lost, carry.age + 1, -1)
     whole &= age == 1
@@ -357,12 +361,14 @@ def _met(
     """Return sets met with the strip of an output."""
     e, s, tested, place = strip.e, strip.s, strip.tested, strip.place
     P = shown.P
+    # the Kalman gain, with generators in place of a covariance; least: no division by 0
     L = jnp.sum(sets.G * P[None], 1) / (jnp.sum(P * P, 0) + weight * s * s + g.least)[None]
     # one number for all its uses: then any will do
     L = stored(jnp.where(tested[None] & (jnp.abs(L) < g.steepest), L, 0))
     far = jnp.abs(L)
     added = summed(_size_times, _row(plant.C, strip.output), sets.r) + shown.slack + g.gamma * shown.whole
     r = g.up * (sets.r + far * added[None] + g.gamma * sets.size) + g.least
+    # (I - L C) G, and L s as one generator more
     G = sets.G - L[:, None] * P[None]
     column = L * s[None]
     if plant.free is not None:  # of an output that is used up already: its error, L being 0
@@ -438,10 +444,12 @@ def _step_of_time(plant: Numbers, carry: ZonotopeCarry, size: jax.Array, now: Pi
         + _map(plant.wide_B + g.gamma * jnp.abs(plant.B), v)
         + _map(jnp.abs(plant.B) + plant.wide_B, now.slip)
     )
+    # a box is moved by |A|; numbers of the model may be off, and inputs rounded
     r = g.up * (_map(A, r) + off + (plant.wide_w + g.gamma * jnp.abs(plant.w))[:, None]) + g.least
     c = _map(plant.A, c) + _map(plant.B, now.v) + plant.w[:, None]
     moved = _map(plant.A, G)
     G = jnp.concatenate([moved, jnp.broadcast_to(plant.W[:, :, None], (*plant.W.shape, N))], 1)
+    # as many generators as before: kernels have one shape
     G, r, reach = _reduced(G, r, q, g)
     bounded = jnp.all(jnp.abs(c) + g.up * reach + r <= g.most, 0)
     # a missing input that moves no state is no loss
@@ -512,6 +520,7 @@ def _enclosures(
     first = _ends(g, *_outputs_of(plant, g, outputs, sets.before), seen & outputs.driven)
     after = _sized(g, *sets.after[:3])
     second = _ends(g, *_outputs_of(plant, g, outputs, after), there & outputs.driven)
+    # behind a contradiction nothing is left: shown is what was allowed before it
     states = jnp.where(refuted, prior, jnp.minimum(prior, now))
     return states, jnp.concatenate([first, jnp.where(refuted, first, jnp.minimum(first, second))])
 

@@ -50,6 +50,7 @@ class Average:
     @property
     def is_mean(self) -> bool:
         """Whether the sum is the mean of its samples."""
+        # exact: 1/3 is a third, and no weights that are nearly equal are taken for a mean
         return set(self.weights) == {Fraction(1, len(self.weights))}
 
     @property
@@ -104,6 +105,7 @@ def _refuse(average: Average, ends: tuple[Fraction, Fraction] | None) -> None:
         )
     if bound < 0:
         raise ValueError(f"the bound of the {average.text} must be >= 0, not {float(bound):g}")
+    # an error of a sensor, and a disturbance that may be 0, can always keep a bound
     if ends is None or ends[0] <= 0 <= ends[1]:
         return
     lo, hi = ends

@@ -90,9 +90,12 @@ def _one_signal(x: jax.Array, lo: jax.Array, hi: jax.Array, averages: _Averages)
     def step(past: jax.Array, now: jax.Array) -> tuple[jax.Array, jax.Array]:
         low, high = jnp.full_like(now, lo), jnp.full_like(now, hi)
         for (n, f, _), b in zip(averages, held, strict=True):
+            # all of the run but its newest sample, which is what is chosen now
             before = jnp.sum(past[longest - n :] * f[:-1, None], 0)
+            # a negative weight turns the ends round
             ends = (-b - before) / f[-1], (b - before) / f[-1]
             low, high = jnp.maximum(low, jnp.minimum(*ends)), jnp.minimum(high, jnp.maximum(*ends))
+        # where bounds leave no value, the middle of what they ask for spoils each least
         value = jnp.where(low <= high, jnp.clip(now, low, high), jnp.clip(0.5 * (low + high), lo, hi))
         return jnp.concatenate([past[1:], value[None]]), value
 
@@ -104,6 +107,7 @@ def _one_signal(x: jax.Array, lo: jax.Array, hi: jax.Array, averages: _Averages)
         moved = jnp.max(jnp.abs(_run_sums(f, n, whole, longest - n, rest, out)), 0)
         room = jnp.maximum(b - e - jnp.abs(rest * jnp.sum(f)), 0)
         share = jnp.minimum(share, jnp.where(moved > room, room / jnp.where(moved > 0, moved, 1), 1))
+    # what rounding adds to a run must not lead out of its bound: a draw has to be healthy
     share = jnp.where(share < 1, share * (1 - 8 * rounding.unit(dtype)), 1)
     return jnp.where(share[:, None] < 1, jnp.clip(rest + share[:, None] * (out.T - rest), lo, hi), out.T)
 
@@ -114,6 +118,7 @@ def _run_sums(
     """Return the weighted sums (T, N) of runs of n values less rest, the first run from `begin` on."""
 
     def add(k: jax.Array, total: jax.Array) -> jax.Array:
+        # the whole column at once, one weight after the other
         run = jax.lax.dynamic_slice_in_dim(whole, begin + k, len(like), 0)
         return total + weights[k] * (run - rest)
 

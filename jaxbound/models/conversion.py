@@ -141,6 +141,7 @@ def from_scipy(sys: StateSpace, dt: float | None = None, **bounds: Any) -> Linea
 def _packages(obj: object) -> dict[str, set[str]]:
     """Return {package: names of the classes of that package that obj is an instance of}."""
     found: dict[str, set[str]] = {}
+    # by the names of its classes: asking isinstance would import packages that nobody else needs
     for c in type(obj).__mro__:
         found.setdefault(c.__module__.split(".")[0], set()).add(c.__name__)
     return found
@@ -186,12 +187,14 @@ def _build(
         )
     else:
         dt = own
+    # a name that is given wins over a label
     return LinearSystem(A, B, C, D, dt, **{**names, **bounds})
 
 
 def _hold(A: np.ndarray, B: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
     """Return (A_d, B_d) of x+ = A_d x + B_d u for x' = A x + B u with u constant over dt."""
     n, block = len(A), np.vectorize(rational, otypes=[object])
+    # exact up to e, then rounded: those floats are the model, no error is left to bound
     step, _ = hold(block(A), block(B), rational(dt))
     return step[:n, :n].astype(float), step[:n, n:].astype(float)
 

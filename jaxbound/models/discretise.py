@@ -61,6 +61,7 @@ def held(g: Affine, n: int, dt: Fraction) -> Affine:
         block, e = exponential(np.block([[M, direction], [0 * M, M]]) * dt)
         derivative[:, k], error = block[:n, N + 1 :], max(e, error)
     through = absolute_integral(g.matrix[:, :n], dt)
+    # (3), of which (2) takes what a parameter does along the way
     strayed = through @ (g.remainder + _largest(g) @ g.spread)
     turned = (abs(g.change[:, :, :n]) @ strayed) @ g.spread
     stepped = Affine(
@@ -99,5 +100,6 @@ def decimals(g: Affine, error: Fraction | int = 0) -> Affine:
     matrix, change = near(g.matrix), near(g.change)
     off = abs(g.matrix - matrix) + error, abs(g.change - change) + error
     radii = np.maximum(abs(g.low), abs(g.high))
+    # each number of a matrix is off by so much, times the largest signal of the box
     more = off[0] @ radii + error + (off[1] @ radii + abs(g.shift) + error) @ g.spread
     return Affine(g.constant, matrix, 0 * g.shift, change, g.remainder + more, g.low, g.high, g.spread)

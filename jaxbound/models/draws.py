@@ -59,6 +59,7 @@ def _drawn(
     words = threefry((k0[..., None], k1[..., None]), (count[:1] * 0, count[:size]), JAX_ROUNDS)
     high, low = cast("tuple[np.ndarray, np.ndarray]", words)  # of arrays of the host
     if dtype == np.float64:
+        # 52 random bits behind the exponent of 1: a float in [1, 2)
         word = high.astype(np.uint64) << np.uint64(32) | low
         bits = word >> np.uint64(12) | np.uint64(0x3FF) << np.uint64(52)
     else:

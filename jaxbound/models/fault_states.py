@@ -74,6 +74,7 @@ def with_faults(
     moving = [i for i, (_, kind) in enumerate(named) if kind == "drift"]
     if moving:
         more = beside(zeros(k, model.g), columns_of(unit, moving))
+        # a drift is moved by a disturbance of its own, within its rate
         pairs = [*model.disturbance, *((-bound, bound) for bound in rates)]
         changes["disturbance"] = beside(model.G, zeros(model.n, len(moving))) + more, pairs
     return model.replace(**changes)
@@ -117,6 +118,7 @@ def _with_errors_as_parameters(model: LinearSystem, faulty: Collection[str]) -> 
     if not chosen:
         return model
     if model.constant_tolerance:
+        # constant for all outputs or for none: the others would lose it
         chosen = [i for i in range(model.p) if model.tolerance[i]]
     parameters = [_relative_error(model, i) for i in chosen]
     return model.replace(
@@ -130,6 +132,7 @@ def _relative_error(model: LinearSystem, i: int) -> Uncertainty | None:
     """Return the relative error of output i as an Uncertainty, None where it shows nothing; refuse what has
     none.
     """
+    # C + theta C has one parameter: a second factor on the same row would make products of two
     obstacle = ""
     if any(model.D_v[i]):
         obstacle = "an unknown input acts on the same output"

@@ -268,6 +268,7 @@ def number_text(x: Fraction | int) -> str:
     sign = "-" if x < 0 else ""
     if places == 0:
         return f"{sign}{_whole_number_text(digits)}"
+    # 1e-9 is easier to read than nine zeros
     if places > len(digits) + 4:
         return f"{sign}{_mantissa(digits)}e{len(digits) - 1 - places}"
     digits = digits.rjust(places + 1, "0")
@@ -277,6 +278,7 @@ def number_text(x: Fraction | int) -> str:
 def _decimal_places(denominator: int) -> int | None:
     """Return how many decimals a fraction with this denominator has, None where they never end."""
     twos = fives = 0
+    # a fraction ends as a decimal iff its denominator has no prime but 2 and 5
     while denominator % 2 == 0:
         denominator, twos = denominator // 2, twos + 1
     while denominator % 5 == 0:

@@ -254,6 +254,7 @@ def _hull(model: LinearSystem, letter: str, left: Matrix | None = None) -> Inter
     if left:
         middle, spread = linalg.matmul(left, middle), [linalg.matmul(left, rows) for rows in spread]
     centre = np.array(middle, object)
+    # each parameter lies in [-1, 1]: what it adds to an entry is at most its magnitude
     radius = 0 * centre
     for rows in spread:
         radius = radius + abs(np.array(rows, object))
@@ -266,6 +267,7 @@ def _pushed(model: LinearSystem, G: Matrix) -> Interval:
     for row in G:
         lowest, highest = Fraction(0), Fraction(0)
         for g, (lo, hi) in zip(row, model.disturbance, strict=True):
+            # exact over the box of w: entries of w are free of each other
             lowest += min(g * lo, g * hi)
             highest += max(g * lo, g * hi)
         low.append(lowest)
@@ -285,6 +287,7 @@ def _combinations(model: LinearSystem) -> Matrix | None:
     moving = [j for j, (lo, hi) in enumerate(model.disturbance) if lo < hi]  # the others are known
     G = columns_of(model.G, moving)
     rank = linalg.rank(G)
+    # nothing is pushed, or all states are: no combination is free of it
     if rank in (0, n):
         return None
     columns = linalg.beside(G, linalg.identity(n))
@@ -316,6 +319,7 @@ def stacked(model: IntervalSystem, horizon: int, moves: Moves | None = None) -> 
     for j in range(s):
         rows = slice(j * e, (j + 1) * e)
         M[:, rows, j * n : (j + 1) * n] = E.lo, E.hi
+        # -[lo, hi] = [-hi, -lo]
         M[:, rows, (j + 1) * n : (j + 2) * n] = -np.asarray(K.hi), -np.asarray(K.lo)
     for j in range(s + 1):
         rows = slice(s * e + j * p, s * e + (j + 1) * p)

@@ -117,6 +117,7 @@ def linearize(
     if continuous:
         g = held(g, n, period)
     else:
+        # states count from x0, the next one as well
         g = replace(g, constant=g.constant - np.array(at_x, object))
     g, dynamics = _at_zero(g, middles)
     arguments["disturbance"] = _disturbed(g, n, bounds.get("disturbance"))
@@ -129,6 +130,7 @@ def linearize(
     else:
         seen = _measured(_Call(frozen(output), n, m, names), box, [*at_x, *at_u], middles, bounds)
         readout, change, y0 = seen.matrix, seen.change, seen.values
+        # no disturbance acts on outputs: what the plane leaves of h widens their noise
         arguments["noise"] = seen.noise
         origins["noise"] = f"as given, plus what was {where}"
 

@@ -5,6 +5,7 @@ from typing import Any
 
 from jaxbound.models.filevalues import Table
 from jaxbound.models.modelfields import LISTS, READ_BY
+from jaxbound.recordings.recordingformat import TABLE
 
 MERGED = ("inputs", "outputs")
 """Tables that are changed by the name of their signal; others stand in place of those of the file."""
@@ -22,9 +23,10 @@ def with_changes(document: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     """
     changed = dict(document)
     for key, value in changes.items():
-        if key in READ_BY or key == "test":
+        if key in (*READ_BY, TABLE, "test"):
             raise ValueError(f"{key} is for the whole file: a recording is read once for all tests")
         if key == "horizon":
+            # a window is said by either: the other of the file would contradict it
             changed.pop("lags", None)
         if key == "lags":
             changed.pop("horizon", None)

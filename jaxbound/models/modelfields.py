@@ -32,6 +32,7 @@ from jaxbound.models.statedalarms import ALARMS
 from jaxbound.models.statedtests import stated_tests
 from jaxbound.models.system import ORIGINS, LinearSystem, matrices_at_zero
 from jaxbound.models.uncertainty import Uncertainty
+from jaxbound.recordings.recordingformat import READERS, TABLE, format_of, with_format
 
 LISTS = ("inputs", "outputs", "disturbances", "uncertainty", "fault")
 """Places of which a file has several, each a table of its own."""
@@ -70,10 +71,20 @@ def _spelled_states(states: list[tuple[str, str | None]]) -> str:
     return in_list(texts)
 
 
+def _spelled_format(value: object) -> str:
+    """Return a field of `[recording]`: a number, a text or several."""
+    if isinstance(value, tuple):
+        return in_list(map(_spelled_format, value))
+    if isinstance(value, str):
+        return TEXT.spell(value)
+    return str(value)
+
+
 WHOLE = ValueKind(lambda field, where, value: value, str)  # LinearSystem says what is wrong with it
 LAGS = ValueKind(lambda field, where, value: as_list(field, value), lambda lags: in_list(map(str, lags)))
 NAMES = ValueKind(_read_names, lambda names: in_list(map(TEXT.spell, names)))
 STATES = ValueKind(_read_states, _spelled_states)
+FORMAT = ValueKind(lambda field, where, value: value, _spelled_format)  # `RecordingFormat` checks it
 
 
 SIGNAL = {"name": TEXT, "unit": TEXT}
@@ -86,6 +97,7 @@ FIELDS: Mapping[str, Mapping[str, ValueKind]] = {
         "horizon": WHOLE,
         "lags": LAGS,
         "left_out": NUMBER,
+        "extrapolation": NUMBER,
         "time": TEXT,
         "where": TEXT,
         "constant_tolerance": TRUTH,
@@ -93,6 +105,7 @@ FIELDS: Mapping[str, Mapping[str, ValueKind]] = {
         "decouple": NAMES,
     },
     "states": SIGNAL,
+    TABLE: dict.fromkeys(READERS, FORMAT),
     "inputs": {**SIGNAL, "column": TEXT, "offset": NUMBER, "range": RANGE},
     "outputs": {
         **SIGNAL,
@@ -131,7 +144,15 @@ BY_NAME = {"unit": "units", "column": "columns", "range": "ranges"}
 """{field of a signal: argument of a LinearSystem that has it by the name of the signal}."""
 EACH = ("tolerance", "noise", "resolution")
 """Bounds that have a number for each output."""
-TABLES = (*LISTS, "alarms", "matrices", "provenance", "fit", "test")  # fit: its recipe, for `fit` alone
+TABLES = (
+    *LISTS,
+    TABLE,
+    "alarms",
+    "matrices",
+    "provenance",
+    "fit",
+    "test",
+)  # fit: its recipe, for `fit` alone
 
 
 def field_names(place: str) -> tuple[str, ...]:
@@ -170,12 +191,16 @@ def _stated(model: LinearSystem) -> dict[str, list[Table]]:
         "horizon": model.horizon,
         "lags": model.lags,
         "left_out": model.left_out,
+        "extrapolation": model.extrapolation,
         "constant_tolerance": model.constant_tolerance or None,
         "states": [(name, model.units.get(name)) for name in model.states],
     }
     if model.lags is not None:
         top["horizon"] = None  # the largest of the lags says it
     tables: dict[str, list[Table]] = {"": [top], "inputs": [], "outputs": []}
+    file_format = format_of(model).stated
+    if file_format:
+        tables = {"": [top], TABLE: [file_format], "inputs": [], "outputs": []}
     for place, side in (("inputs", "u"), ("outputs", "y")):
         for name, offset in zip(getattr(model, place), model.offset[side], strict=True):
             table: Table = {"name": name, "offset": offset or None}
@@ -192,6 +217,7 @@ def _stated(model: LinearSystem) -> dict[str, list[Table]]:
     tables["disturbances"] = [{"bound": b, "averages": _averages(model, f"w{j}")} for j, b in disturbances]
     tables["uncertainty"] = [dict(vars(parameter)) for parameter in model.uncertainties]
     for table in tables["uncertainty"]:
+        # what is usual is not written: a file shows what somebody stated
         if table["varying"]:
             del table["varying"]
         if table["between"] == (-1, 1):
@@ -245,7 +271,10 @@ def model_arguments(document: Table) -> dict[str, Any]:
     top = {name: kind.read(name, "", document[name]) for name, kind in FIELDS[""].items() if name in document}
     arguments = _of_signals(tables) | _assembled(top, tables)
     arguments["columns"] |= {name: top[name] for name in READ_BY if name in top}
-    for name in ("name", "lags", "left_out", "constant_tolerance"):
+    arguments["columns"] = with_format(
+        arguments["columns"], checked_table(f"[{TABLE}]", document.get(TABLE, {}))
+    )
+    for name in ("name", "lags", "left_out", "extrapolation", "constant_tolerance"):
         if name in top:
             arguments[name] = top[name]
     tests = stated_tests(as_list("test", document.get("test", [])))
@@ -294,6 +323,7 @@ def _read_entry(entry: Entry, table: object) -> Table:
 def _refuse_half_of_a_pair(tables: Mapping[str, list[Table]]) -> None:
     """Raise ValueError where G stands without bounds of disturbances, or D_v without F."""
     (matrices,) = tables["matrices"]
+    # either half alone would silently drop the disturbance
     if ("G" in matrices) != bool(tables["disturbances"]):
         half = "the blocks are" if "G" in matrices else "G is"
         raise ValueError(
@@ -324,6 +354,7 @@ def _of_signals(tables: Mapping[str, list[Table]]) -> dict[str, Any]:
         arguments["times"] = {}
         for i, bound in enumerate(arguments["noise"]):
             if isinstance(bound, tuple):
+                # a bound with its factor is one field of the file, and two arguments of a model
                 arguments["noise"][i], arguments["times"][outputs[i]["name"]] = bound
     return arguments
 

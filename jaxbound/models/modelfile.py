@@ -69,6 +69,7 @@ def _loaded(path: Path, alone: bool) -> LinearSystem:
     if not path.exists():
         raise FileNotFoundError(f"there is no model file {path}")
     try:
+        # Windows puts a byte order mark in front, on which tomllib stumbles
         text = path.read_bytes().decode("utf-8-sig")
         return _parsed(text, None if alone else path.parent)
     except UnicodeDecodeError:

@@ -41,6 +41,7 @@ def more_states(
     parameters = []
     for u in model.uncertainties:
         parts = grown({letter: coefficient(u, letter) for letter in "ABCD"}, of_parameter, zeros(k, k))
+        # a coefficient of zeros would be refused as one that acts on nothing
         parts = {letter: rows for letter, rows in parts.items() if any(map(any, rows))}
         parameters.append(Uncertainty(u.name, **parts, varying=u.varying, between=u.between))
     return {

@@ -88,6 +88,7 @@ class MultiModel:
             C=_joined([m.C for m in models], 1),
             D=first.D,
             w=_joined([m.w for m in models], 0),
+            # one sensor reads the sum: the widest bound holds whatever the weights are
             tolerance=np.max([m.tolerance for m in models], 0),
             noise=np.max([m.noise for m in models], 0),
             offset=first.offset,
@@ -103,6 +104,7 @@ class MultiModel:
             return None
         each = []
         for m in self.models:
+            # of a sub-model without moves of its own: A x - x+ = -B u - w, all rows
             identity = interval(np.eye(m.n).astype(m.A.dtype))
             each.append(m.moves or (m.A, identity, m.B, m.w))
         E, K, H, d = zip(*each, strict=True)
@@ -127,6 +129,7 @@ class MultiModel:
         if isinstance(stated, Interval):
             sums_to_one = bool((lo.sum(-1) <= 1).all() and (hi.sum(-1) >= 1).all())
         else:
+            # within the rounding of a user's own function, which the outward step below allows for
             sums_to_one = np.allclose(lo.sum(-1), 1)
         if not ((lo >= 0) & (hi >= lo)).all() or not sums_to_one:
             raise ValueError("weights must be >= 0 and sum to 1 at every sample")
@@ -134,6 +137,7 @@ class MultiModel:
         if np.issubdtype(lo.dtype, np.floating):  # of the coarser of both types
             units *= max(float(rounding.unit(lo.dtype) / rounding.unit(u.dtype)), 1)
         low, high = rounding.outward(lo.astype(u.dtype), hi.astype(u.dtype), units)
+        # a weight is >= 0, rounded or not
         return Interval(np.maximum(low, 0), np.asarray(high))
 
     def columns(self, u: np.ndarray) -> Interval:

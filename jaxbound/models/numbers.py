@@ -22,6 +22,7 @@ def is_whole(x: object) -> TypeGuard[int]:
 
 def number(field: str, x: Number) -> Fraction:
     """Return a number of a field exactly; raise ValueError with its name."""
+    # True is 1 to Python, and a mistake in a model
     if isinstance(x, bool | np.bool_):
         raise ValueError(f"{field} must be a number, not {x!r}")
     try:

@@ -1,15 +1,19 @@
 """The region of training: between which ends each input of a model moved in the data that it was fitted to.
 
-Bounds that were found from data hold where the data were. A window that reads inputs outside of them is
-judged as any other; what is said of it rests on extrapolation.
+Bounds that were found from data hold where the data were. A window that reads inputs outside of them has
+bounds that are wider by a factor of the model (`consistency.extrapolated`); what is said of it rests on
+extrapolation.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
+import jax
 import numpy as np
 
+from jaxbound.exact.linalg import Number
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import input_lags
 from jaxbound.recordings.signals import SignalModel
@@ -72,13 +76,15 @@ class Departure(NamedTuple):
         return texts
 
 
+@jax.tree_util.register_static
 @dataclass(frozen=True, eq=False)
 class Region:
     """The region of training of a model's windows.
 
     Fields: inputs, units: of all inputs. lo, hi: (m,) their ends, NaN where none are stated. horizon: windows
     have horizon + 1 samples, of which they read the first `lags` of u. Those of an observer, which rests on
-    all samples before, are of the step that led to the sample.
+    all samples before, are of the step that led to the sample. wider: how many times as wide bounds outside
+    are, of several tests at most.
     """
 
     inputs: tuple[str, ...]
@@ -87,6 +93,7 @@ class Region:
     hi: np.ndarray
     horizon: int
     lags: int
+    wider: float = 1.0
 
     @classmethod
     def of(cls, relations: Reach) -> "Region | None":
@@ -94,14 +101,23 @@ class Region:
         model = relations.model
         if not isinstance(model, LinearSystem) or not model.ranges:
             return None
-        nowhere = (np.nan, np.nan)
-        lo, hi = np.array([model.ranges.get(name, nowhere) for name in model.inputs], float).T
         horizon = relations.horizon
         if relations.remembers:
             horizon = int(model.n > 0)
+        wider = 1.0 if relations.remembers else float(model.extrapolation or 1)
         for part in getattr(relations, "parts", {}).values():  # of a monitor as far as its longest window
             if not part.remembers:
                 horizon = max(horizon, part.horizon)
+                wider = max(wider, float(part.model.extrapolation or 1))
+        return replace(cls.between(model, model.ranges, horizon), wider=wider)
+
+    @classmethod
+    def between(
+        cls, model: LinearSystem, ranges: Mapping[str, tuple[Number, Number]], horizon: int
+    ) -> "Region":
+        """Return the region of windows of a model, between the ends of some of its inputs."""
+        nowhere = (np.nan, np.nan)
+        lo, hi = np.array([ranges.get(name, nowhere) for name in model.inputs], float).reshape(-1, 2).T
         units = tuple(map(model.unit, model.inputs))
         return cls(model.inputs, units, lo, hi, horizon, input_lags(model, horizon))
 
@@ -141,8 +157,12 @@ class Region:
         if lo == hi:
             side = "always at"
         unit = f" {self.units[by]}".rstrip()
+        wider = ""
+        if self.wider > 1:
+            wider = f", where bounds are {self.wider:.3g} times as wide"
         return (
             f"{self.inputs[by]} at {_apart(reading, end)}{unit}, training {side} {_apart(end, reading)}{unit}"
+            f"{wider}"
         )
 
     @cached_property

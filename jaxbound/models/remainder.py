@@ -125,12 +125,15 @@ def _cells(f: Function, box: Interval, c: jax.Array) -> Interval:
     ends = np.tile(np.asarray(c), (2 * N, 1))
     ends[np.arange(N), np.arange(N)], ends[N + np.arange(N), np.arange(N)] = lo, hi
     slopes = np.stack([_derivatives_at(f, end) for end in ends])
+    # how much slopes differ between the two ends of an axis, times its width
     change = (np.abs(slopes[:N] - slopes[N:]).sum(1) * (hi - lo)).sum(1)
     cuts = np.ones(N, int)
+    # halves where a cell still sees the largest change of slopes: the excess is of that order
     while cuts.prod() < CELLS:
         cuts[np.argmax(change / cuts)] *= 2
     low, high = [], []
     for a, b, k in zip(lo, hi, cuts, strict=True):
+        # rounded edges must neither leave the box nor fall short of it
         edges = np.clip(np.linspace(a, b, k + 1, dtype=lo.dtype), a, b)
         edges[0], edges[-1] = a, b
         low.append(edges[:-1])
@@ -181,8 +184,10 @@ def _remainder(
 ) -> Interval:
     """Enclose the remainder over one cell by f's value in the middle and its slopes J all over the cell."""
     q = interval(mid(cell))
+    # mean value form: f(q) and slopes of the cell enclose f, less the plane
     near = sub(value, _times(interval(slopes), sub(q, c)))
     out = add(near, _times(sub(J, slopes), sub(cell, q)))
+    # infinite where nothing is proved: an extreme over all cells keeps it, and would lose NaN
     proved = continuous & ~jnp.isnan(out.lo) & ~jnp.isnan(out.hi)
     return Interval(jnp.where(proved, out.lo, -jnp.inf), jnp.where(proved, out.hi, jnp.inf))
 

@@ -152,6 +152,7 @@ class WindowRows:
             for i, values in enumerate(of_output):
                 rows.append(Row(Kind.READING, i, sample, values, self.looked_at(sample)))
         of_disturbance = [WeightedSum(False, ((j, ONE),)) for j in range(self.disturbances)]
+        # the last sample of a window is moved by no disturbance of it: w acts on the next state
         for sample in range(self.horizon):
             for j, values in enumerate(of_disturbance):
                 rows.append(Row(Kind.DISTURBANCE, j, sample, values))
@@ -170,6 +171,7 @@ class WindowRows:
         samples = self.horizon + 1 if values.measured else self.horizon
         rows = []
         for first in range(samples - values.samples + 1):
+            # nobody measures a disturbance: its sums are looked at wherever they lie
             seen = not values.measured or self.looked_at(first + values.samples - 1)
             rows.append(Row(Kind.SUM, number, first, values, seen))
         return rows
@@ -215,6 +217,7 @@ class WindowRows:
         """
         missing, N = np.isnan(y), y.shape[2]
         absent = np.zeros((len(self), N), bool)
+        # rows are time-major, as y is
         absent[: self.readings] = (missing | ~self.kept[:, None, None]).reshape(-1, N)
         for number, row in enumerate(self.of_sums, self.single):
             if not row.seen:

@@ -31,6 +31,7 @@ def true_range(d: Numbers, rho: Numbers, tolerance: Numbers, e: Numbers) -> tupl
     """Return (middle, radius) of true values whose samples, less the offset, are d, off by at most rho; e = 1
     / (1 - tolerance^2).
     """
+    # clip written as two magnitudes: without a comparison it vectorises and has derivatives
     above, below, half = abs(d + rho), abs(d - rho), 0.5 * tolerance
     # above - below = 2 clip(d, -rho, rho), above + below = 2 max(|d|, rho)
     return e * (d + half * (above - below)), e * (rho + half * (above + below))
@@ -88,9 +89,11 @@ def largest_error(y: np.ndarray, noise: np.ndarray, recorded: np.dtype | type, h
     """
     size = np.where(np.isnan(y), 0, abs(y)).astype(np.float64)
     largest, T = size.copy(), size.shape[-2]
+    # the largest of every window that a sample belongs to: samples before it, and behind it
     for lag in range(1, min(horizon, T - 1) + 1):
         largest[..., lag:, :] = np.maximum(largest[..., lag:, :], size[..., :-lag, :])
         largest[..., :-lag, :] = np.maximum(largest[..., :-lag, :], size[..., lag:, :])
+    # a wider type keeps what the recorder rounded away, a narrower one rounds once more
     coarsest = max(float(rounding.unit(recorded)), float(rounding.unit(y.dtype)))
     error = noise + RECORDER_ULPS * coarsest * (largest + noise) + float(rounding.tiny(y.dtype))
     return rounding.round_up(error * (1 + 2.0**-50), y.dtype)  # 2^-50: for these four operations

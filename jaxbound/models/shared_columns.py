@@ -76,6 +76,7 @@ def _powers(text: str, column: str) -> tuple[Polynomial, ...] | None:
     for columns, coefficient in whole.items():
         others, degree = tuple(c for c in columns if c != column), columns.count(column)
         for i in range(1, degree + 1):
+            # the binomial theorem: c^n moved by f has comb(n, i) c^(n - i) f^i
             key = tuple(sorted((*others, *[column] * (degree - i))))
             powers[i - 1][key] = powers[i - 1].get(key, Fraction(0)) + comb(degree, i) * coefficient
     return tuple(powers)
@@ -101,6 +102,7 @@ def _multiplied_out(node: ast.expr, names: Mapping[str, str]) -> Polynomial:
     """Return the polynomial of a node; names: {name in the tree: column}."""
     match node:
         case ast.Constant(value=int(value) | float(value)):
+            # the decimal as it is written, not the float beside it
             return {(): Fraction(str(value))}
         case ast.Name():
             return {(names[node.id],): Fraction(1)}

@@ -16,6 +16,7 @@ from jaxbound.models.numbers import number, ordered_pair
 from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.expressions import expression, is_expression
 from jaxbound.recordings.means import EVERY
+from jaxbound.recordings.recordingformat import RECORDING, RecordingFormat
 from jaxbound.text.names import listed
 
 Each: TypeAlias = Number | Sequence[Number] | np.ndarray | jax.Array
@@ -81,6 +82,7 @@ def model_signals(
     output_names = named("outputs", outputs, p, "y")
     state_names = named("states", states, n, "x")
     recorded = input_names + output_names
+    # states may be called like outputs, which they often are
     twice = sorted({x for x in recorded if recorded.count(x) > 1})
     if twice:
         raise ValueError(f"a signal name may stand for one signal only: {listed(twice)} is used twice")
@@ -90,10 +92,12 @@ def model_signals(
         raise ValueError(f"offset has the fields 'u' and 'y', not {sorted(unknown)}")
     input_offset = _vector("offset u", offset.get("u", 0), input_names)
     output_offset = _vector("offset y", offset.get("y", 0), output_names)
-    texts = words("columns", columns, (*recorded, "time", "where", EVERY))
+    texts = words("columns", columns, (*recorded, "time", "where", EVERY, RECORDING))
     for name, text in texts:
         if name == EVERY:
             seconds_of(text)
+        elif name == RECORDING:
+            RecordingFormat.of(text)
         elif name == "where" or (name != "time" and is_expression(text)):
             expression(text)  # refuses what it cannot read
     return ModelSignals(

@@ -172,6 +172,7 @@ def simulated(
     }
     streams = tuple(stream for stream, width in widths.items() if width)
     key = key_of(key)
+    # one call for all streams: each recording has the same draws, however many stand beside it
     draws = uniform_draws(key, streams, count, samples * max(widths.values()), dtype)
     if v is None:
         v = normal_draws(key, count, (samples, model.d), dtype)
@@ -258,6 +259,7 @@ def recorded_inputs(model: LinearSystem, u: object) -> Recorded:
     shape = inputs.shape[:-1]
     given = _host(Recording.of(model, inputs, np.zeros((*shape, model.p), inputs.dtype)).u)
     refuse_infinite("u", given, known(model))
+    # conditions of a monitor are numbered so
     if any(factor.number < 0 for factor in model.factors):
         raise ValueError("simulate draws samples of one mode: give it the model, and not that of its monitor")
     factors = np.ones((*shape, model.p), given.dtype)
@@ -322,6 +324,7 @@ def _host(x: ArrayLike) -> Array:
 
 def _compiled_sizes(count: int, T: int) -> tuple[int, int]:
     """Return the numbers of recordings and of samples that are compiled for."""
+    # few sizes, so that a study and its last, shorter part share a program
     samples = _length(T, count)
     if count <= 1 or count * samples > FEW:
         return count, samples
@@ -334,6 +337,7 @@ def _length(T: int, count: int) -> int:
     """
     step = 64 * power(-(-T // 64), 4 if T * count <= TINY else 2)
     if T * count > FEW:
+        # what is padded is simulated too: of much work an eighth at most
         step = max(step // 16, 1)
     return -(-T // step) * step
 
@@ -393,6 +397,7 @@ def _bounds(model: LinearSystem, averages: AverageNumbers, dtype: np.dtype) -> _
     """Return the bounds of a model in floats that lie within them."""
     return {
         "varying": np.array([p.varying for p in model.uncertainties], bool),
+        # inward: what is drawn must lie within the exact bounds
         "lo": rounding.round_up([lo for lo, _ in model.disturbance], dtype),
         "hi": rounding.round_down([hi for _, hi in model.disturbance], dtype),
         "tolerance": rounding.round_down(list(model.tolerance), dtype),
@@ -560,6 +565,7 @@ def _unknowns(rules: _Rules, given: _Given) -> tuple[Array, Array, Array, Array,
     lo, hi = bounds["lo"][None, None], xp.maximum(bounds["lo"], bounds["hi"])[None, None]
     share = extreme(drawn(DISTURBANCE, lo.shape[2]))
     w = xp.where(share == 1, hi, xp.clip(lo + 0.5 * (share + 1) * (hi - lo), lo, hi))
+    # a parameter that keeps its value has that of the first sample
     each = extreme(drawn(PARAMETER, len(bounds["varying"])))
     parameters = xp.where(bounds["varying"][None, None], each, each[:, :1])
     extra = drawn(FAULT_NOISE, len(rules.channels))
@@ -598,9 +604,11 @@ def _changed(kind: str, x: Array, error: Array, size: Array, on: Array, extra: A
     """Return one signal (N, T) with its fault, as `models.named_faults` defines it; error: its noise."""
     xp = _library(x, on, extra)
     if kind == "stuck":
+        # what a sensor showed at the onset is what it goes on showing
         onset = xp.broadcast_to(xp.argmax(on, 1)[:, None], (len(x), 1))
         changed: Array = xp.broadcast_to(xp.take_along_axis(x, onset, 1), x.shape)
     elif kind == "gain":
+        # a gain is one of the true value: the noise on top of it is not multiplied
         changed = x + size * (x - error)
     elif kind == "bias":
         changed = x + size

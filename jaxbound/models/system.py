@@ -41,7 +41,7 @@ FOR_OBSERVER = "for an observer"
 """Words in the provenance of bounds from data that were found for one, not for windows."""
 TO_THE_END = "from start to end"
 """Words in the provenance of bounds that explain whole recordings: they hold for windows and observers."""
-ORIGINS = ("tolerance", "noise", "resolution", "disturbance", "model")
+ORIGINS = ("tolerance", "noise", "resolution", "disturbance", "model", "extrapolation")
 """Of which a model may state where they come from."""
 
 T = TypeVar("T")
@@ -112,7 +112,8 @@ class LinearSystem:
             columns, like "= `Supply Temp` - `Mixed Temp`"; "time": the column of its time stamps; "where": a
             condition, like "fan > 0": samples for which it does not hold are no part of the recording, and
             windows with them are MISSING; "every": an interval of dt, like "15min": samples are the means of
-            what was recorded within each.
+            what was recorded within each; "[recording]": how files are written, the text of
+            a `RecordingFormat`.
         ranges: {input: (lowest, highest)}: between which it moved in the recordings that the model was fitted
             to; verdicts say which windows lie outside, see `Result.outside`, and `study` moves it there.
         provenance: {"noise": "datasheet" | "fitted" | "assumed", ...}: where a bound comes from, for reports.
@@ -123,6 +124,8 @@ class LinearSystem:
             largest of them.
         left_out: how many times as wide as the smallest bounds those for a recording that was left out of the
             fit have to be, >= 1: `jb.fit` finds it, `jb.tune` keeps it. None: not known.
+        extrapolation: how many times as wide as stated all bounds are for windows that read inputs outside
+            their `ranges`, >= 1: `jb.fit` finds it. None: as wide as stated.
         uncertainties: a sequence of `Uncertainty`: bounded parameters that change A, B, C, D. The given
             matrices are those at the value 0 of every parameter; .A, .B, .C, .D are kept at the middle of
             their bounds.
@@ -163,6 +166,7 @@ class LinearSystem:
     lags: tuple[int, ...] | None
     averages: tuple[Average, ...]
     left_out: Fraction | None
+    extrapolation: Fraction | None
     tests: tuple[StatedTest, ...]
     alarms: Mapping[str, Any]
     faults: tuple[NamedFault, ...]
@@ -221,6 +225,7 @@ class LinearSystem:
         lags: Sequence[int] | None = None,
         averages: Averaged | None = None,
         left_out: Number | None = None,
+        extrapolation: Number | None = None,
         tests: StatedTests | None = None,
         alarms: Mapping[str, Any] | None = None,
         faults: Sequence[NamedFault] = (),
@@ -251,7 +256,8 @@ class LinearSystem:
             horizon=length,
             lags=sparse,
             averages=_averages(averages, parts, measured, signals.outputs),
-            left_out=_factor(left_out),
+            left_out=_factor("left_out", left_out),
+            extrapolation=_factor("extrapolation", extrapolation),
             tests=stated_tests(tests),
             alarms=stated_alarms(alarms),
             faults=named_faults(faults, signals.inputs, signals.outputs, signals.states),
@@ -433,13 +439,13 @@ def _averages(
     return averages
 
 
-def _factor(left_out: Number | None) -> Fraction | None:
-    """Return the factor that a recording needs which is left out, checked."""
-    if left_out is None:
+def _factor(name: str, value: Number | None) -> Fraction | None:
+    """Return a factor on bounds, checked."""
+    if value is None:
         return None
-    factor = number("left_out", left_out)
+    factor = number(name, value)
     if factor < 1:
-        raise ValueError(f"left_out must be a factor >= 1, not {left_out!r}")
+        raise ValueError(f"{name} must be a factor >= 1, not {value!r}")
     return factor
 
 

@@ -33,6 +33,7 @@ def model_of(model: LinearSystem, test: StatedTest) -> LinearSystem:
         own = _widened(own, test.factor)
     except (ValueError, TypeError) as e:
         raise ValueError(f"the model of test {test.name!r}: {e}") from None
+    # one recording is read for all tests
     for field in SAME:
         if getattr(own, field) != getattr(model, field):
             raise ValueError(
@@ -60,6 +61,7 @@ def with_tests(model: LinearSystem) -> LinearSystem:
 
 def _widened(model: LinearSystem, factor: Fraction) -> LinearSystem:
     """Return a model whose bounds are so many times as wide; disturbances around their middle."""
+    # exactly the model itself: verdicts that are kept are found again
     if factor == 1:
         return model
     disturbance = []

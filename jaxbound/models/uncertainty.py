@@ -135,6 +135,7 @@ def centred(matrix: Matrix, uncertainties: Sequence[Uncertainty], letter: str, s
     """
     for u in uncertainties:
         rows = coefficient(u, letter)
+        # v in [-1, 1] stands for centre + radius v: the middle belongs to the matrices
         if rows is not None and u.centre:
             pairs = zip(matrix, rows, strict=True)
             matrix = tuple(linalg.add_multiple(row, sign * u.centre, d) for row, d in pairs)

@@ -111,12 +111,14 @@ def _smallest(
         hidden: Matrix = ()
         if rows:
             unseen = linalg.left_null_space(_seen(model.C, rows))
+            # combinations of S that outputs show as 0
             hidden = linalg.row_reduce(linalg.matmul(unseen, rows))[0]
         wider = list(rows)
         if hidden:
             for A in moves:
                 wider += linalg.matmul(hidden, linalg.transpose(A))
         grown = linalg.row_reduce(wider)[0]
+        # subspaces grow by a dimension at least, or not at all: n steps end it
         if len(grown) == len(rows):
             return rows, hidden
         rows = grown
@@ -140,6 +142,7 @@ def _ways(model: LinearSystem, rows: Matrix, hidden: Matrix) -> tuple[Way, ...]:
     ways: list[Way] = []
     for outputs in islice(combinations(quiet, len(kept)), TRIED):
         chosen = linalg.transpose(columns_of([seen[j] for j in kept], outputs))
+        # these outputs show less of S than all do
         if linalg.rank(chosen) < len(kept):
             continue
         columns = dict(zip(outputs, linalg.transpose(linalg.matmul(S, linalg.inverse(chosen))), strict=True))
@@ -148,6 +151,7 @@ def _ways(model: LinearSystem, rows: Matrix, hidden: Matrix) -> tuple[Way, ...]:
         M = _less(identity, linalg.matmul(H, model.C))
         M, H = _less(M, linalg.matmul(Y, M)), _less(H, linalg.matmul(Y, H))
         ways.append(Way(tuple(sorted(outputs)), M, H))
+    # quiet outputs were tried first; how loud a way is, its H alone says
     ways.sort(key=lambda way: _amplified(way.H, loud))
     return tuple(ways[:WAYS])
 
@@ -173,6 +177,7 @@ def _amplified(H: Matrix, loud: Sequence[float]) -> float:
 def _nothing_left(model: LinearSystem, moves: Sequence[Matrix]) -> str:
     """Return the sentence that says which unknown inputs explain everything, as few of them as do."""
     columns = dict(enumerate(linalg.transpose(model.F), 1))
+    # each that can go without a change goes: those that stay explain everything together
     for j in reversed(list(columns)):
         fewer = [c for i, c in columns.items() if i != j and any(c)]
         if fewer and linalg.rank(_seen(model.C, _smallest(model, moves, fewer)[0])) == model.p:

@@ -50,6 +50,7 @@ def watched(
     columns = tuple(carried.values())
     if columns == model.factors:
         return model
+    # fields are checked already: a copy of them, and no second construction
     same = WatchedSystem.__new__(WatchedSystem)
     vars(same).update(vars(model), carried=columns, factors=columns)
     return same
@@ -68,11 +69,13 @@ def modes_at(model: LinearSystem, conditions: Sequence[str], u: np.ndarray) -> n
     for c, text in enumerate(conditions):
         if text != OTHERWISE:
             value = u[:, names.index(Condition(text=text).name)]
+            # a column that lacks its sample leaves the mode open
             modes[:, c] = np.where(np.isnan(value), UNKNOWN, np.where(value != 0, YES, NO))
             in_part |= value == IN_PART
     if OTHERWISE in conditions:
         c = conditions.index(OTHERWISE)
         others = np.delete(modes, c, 1)
+        # one unknown condition leaves "otherwise" unknown too, unless another holds
         modes[(others == NO).all(1), c] = YES
         modes[(others == YES).any(1), c] = NO
     modes[in_part] = NO

@@ -79,6 +79,7 @@ def _toeplitz(outputs_on_state: Sequence[Matrix], drive: Matrix, direct: Matrix,
         responses.append(linalg.matmul(block, drive) if drive else linalg.zeros(p, width))
     rows: list[Vector] = []
     for j in range(len(outputs_on_state)):
+        # sample k acts on y_j by its response j - k samples later; later ones not at all
         past = [responses[j - k] for k in range(min(j + 1, lags))]
         later = linalg.zeros(p, width * (lags - len(past)))
         rows += linalg.beside(*past, later)
@@ -132,6 +133,7 @@ def _with_sums(model: LinearSystem, horizon: int, single: Matrix) -> tuple[Whole
     whole = list(starmap(Whole, map(linalg.integers, single)))
     if not rows.of_sums:
         return tuple(whole)
+    # one denominator for all: sums of rows are sums of whole numbers
     numbers, over = linalg.over_one(whole)
     for row in rows.of_sums:
         terms = rows.terms(row)
@@ -181,6 +183,7 @@ class ParameterForm:
         after = dict(self.before)
         for letter, change in self.changes.items():
             after[letter] = self.before[letter] + size * change
+        # the state as rows over all unknowns: first of itself, then moved on sample by sample
         state: np.ndarray = np.full((self.n, self.width), self.zero)
         state[:, : self.n] += np.eye(self.n, dtype=int)
         rows = []
@@ -195,6 +198,7 @@ class ParameterForm:
         own: np.ndarray = np.full((self.disturbances, self.width), self.zero)
         own[:, self.n : self.n + len(own)] += np.eye(len(own), dtype=int)
         single = np.concatenate([*rows, own])
+        # adding the zero keeps Fractions where a product has no terms
         whole = np.concatenate([single, self.sums @ single + self.zero])
         return whole[:, : self.known], whole[:, self.known :]
 

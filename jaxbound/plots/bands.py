@@ -138,6 +138,7 @@ def _draw(ax: "Axes", panel: Band, at: np.ndarray, edges: np.ndarray, name: str)
     y = panel.y
     if y is None:
         y = np.full(len(faulty), np.nan)
+    # all that a bin allows at some sample of it
     lo, hi = np.fmin.reduceat(lo, edges), np.fmax.reduceat(hi, edges)
     shade(ax, at, np.maximum.reduceat(faulty, edges))
     ax.fill_between(at, lo, hi, color=ENVELOPE, alpha=0.35, lw=0, label=name)
@@ -145,6 +146,7 @@ def _draw(ax: "Axes", panel: Band, at: np.ndarray, edges: np.ndarray, name: str)
         ax.plot(at, edge, color="#0072b2", lw=0.6, alpha=0.8)
     healthy = _bin_extremes(np.where(faulty, np.nan, y), edges)
     wrong = _bin_extremes(np.where(faulty, y, np.nan), edges)
+    # bins have two ends, samples are points
     if len(y) > len(edges):
         ax.fill_between(at, *healthy, color="#57606a", lw=0.5, alpha=0.7, label="measured")
         ax.fill_between(at, *wrong, color=FAULTY, lw=1.2, label="measured, faulty")
@@ -174,11 +176,13 @@ def _limits(ax: "Axes", lo: np.ndarray, hi: np.ndarray, y: np.ndarray) -> None:
     seen = np.isfinite(lo) & np.isfinite(hi)
     if not seen.any():
         return
+    # the first bands are wide, since nothing is known yet: they may leave the picture
     bottom, top = float(np.quantile(lo[seen], 0.01)), float(np.quantile(hi[seen], 0.99))
     width = max(top - bottom, 1e-300)
     y = y[np.isfinite(y)]
     if len(y):
         least, most = float(y.min()), float(y.max())
+        # a sample beyond two widths of the band may leave it as well
         bottom, top = max(min(bottom, least), bottom - 2 * width), min(max(top, most), top + 2 * width)
     pad = 0.06 * (top - bottom)
     ax.set_ylim(bottom - pad, top + pad)

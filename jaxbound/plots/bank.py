@@ -36,9 +36,12 @@ def plot_bank(res: BankResult, time: np.ndarray | None = None) -> "Figure":
     else:
         at, label, dates = time_axis(time_of(res, time))
     bins = np.unique(np.linspace(0, len(at), min(len(at), BINS), endpoint=False).astype(int))
+    # a raster needs the end of its last bin too
     edges = np.append(at[bins], at[-1:])
+    # a bin with one violated window is drawn as violated
     violated, able = (np.maximum.reduceat(on, bins, axis=0).T for on in (res.violated, res.candidates))
     relations, faults = res.signatures.relations, res.faults
+    # rows of both charts are equally high
     heights = [len(relations), len(faults)]
     with style():
         fig, (top, bottom) = stacked(2, (11, 1.6 + 0.2 * sum(heights)), heights)

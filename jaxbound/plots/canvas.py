@@ -75,6 +75,7 @@ def canvas(size: tuple[float, float], layout: "Literal['constrained'] | None" = 
 
     from jaxbound.plots.picture import Picture
 
+    # no pyplot: it would keep every figure, and choose a display of its own
     fig = Picture(figsize=size, layout=layout)
     FigureCanvasAgg(fig)
     return fig
@@ -154,6 +155,7 @@ def inside(edges: np.ndarray, start: int, count: int) -> tuple[int, int, np.ndar
             may be samples before it.
     """
     first, stop = np.searchsorted(edges, (start, start + count), "left")
+    # the bin that holds the first sample of the piece began before it, unless it begins there
     begun = int(first) - int(first == len(edges) or edges[first] > start)
     return begun, int(stop), np.maximum(edges[begun:stop] - start, 0)
 
@@ -172,6 +174,7 @@ def shade(ax: "Axes", x: np.ndarray, on: np.ndarray) -> None:
     half = (x[-1] - x[0]) / max(len(x) - 1, 1) / 2
     starts = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(int)])) == 1)
     ends = np.flatnonzero(np.diff(np.concatenate([on.astype(int), [0]])) == -1)
+    # one outline for all stretches: thousands of patches would take seconds to draw
     edges = np.column_stack([x[starts] - half, x[starts] - half, x[ends] + half, x[ends] + half]).ravel()
     level = np.tile([0, 1, 1, 0], len(starts))
     ax.fill_between(

@@ -60,6 +60,7 @@ def combination(certificate: Certificate, u: np.ndarray, y: np.ndarray) -> tuple
     value = value + h[outputs : outputs + disturbed] @ middle
     width = width + abs(h[outputs : outputs + disturbed]) @ half
     known = np.flatnonzero(k)
+    # inputs that the relation does not look at may be missing
     value = value - _inputs(window, u, len(value), len(k))[:, known] @ k[known]
     width = np.where(np.isnan(value), np.nan, width)
     return _from_sample(s, len(y), value), _from_sample(s, len(y), width)
@@ -90,6 +91,7 @@ def expected_readings(relations: ParityRelation, u: np.ndarray, y: np.ndarray) -
     )
     for first in range(0, len(rows.outputs), BLOCK):
         below, above = _bounded_by(rows.block(first), window, samples, u)
+        # NaN of a relation that lacks a sample leaves what others say
         least, most = np.fmax(least, below), np.fmin(most, above)
     below, above = _readings(window, samples.error, least, most)
     lo[s:] = np.where(np.isfinite(below), below, np.nan)
@@ -146,9 +148,11 @@ def _bounded_by(
         through = np.flatnonzero(h[:, own])
         if not len(through):
             continue
+        # h_own t + rest = 0 up to the width of the rest: t is bounded where h_own is not 0
         weight = h[through, own].T
         rest = value[:, through] - weight * middle[:, own]
         free = width[:, through] - abs(weight) * half[:, own]
+        # no sample is missing but its own, which is what is asked for
         known = lacking[:, through] == missing[:, own]
         centre, reach = np.where(known, -rest / weight, np.nan), free / abs(weight)
         lo[:, i], hi[:, i] = np.fmax.reduce(centre - reach, 1), np.fmin.reduce(centre + reach, 1)
@@ -173,6 +177,7 @@ def _samples(window: ExactWindow, u: np.ndarray, y: np.ndarray) -> _Samples:
     error = noise + _floats(window.claim["resolution"]) + recorded
 
     def stretched(v: np.ndarray) -> np.ndarray:
+        # t = v / (1 + theta): the extreme theta depends on the sign of v
         return np.asarray(np.where(v > 0, v / (1 - tolerance), v / (1 + tolerance)))
 
     deviation = every - _floats(window.model.offset["y"])
@@ -201,6 +206,7 @@ def _sum(window: ExactWindow, samples: _Samples, row: Row) -> tuple[np.ndarray |
     for i, weights in values.parts:
         columns = p * (row.first + np.arange(len(weights))) + i
         middle = middle + samples.middle[:, columns] @ _floats(weights)
+        # beyond noise, which the bound of the sum is about, each reading may be off by its rounding
         error = samples.half[:, columns[-1]] - float(window.claim["noise"][i])
         half = half + float(values.size_of(i)) * error
     return middle, half
@@ -219,6 +225,7 @@ def _inputs(window: ExactWindow, u: np.ndarray, count: int, known: int) -> np.nd
     if not known:
         return np.zeros((count, 0))
     deviation = np.asarray(u, float)[:, :m] - _floats(window.model.offset["u"])
+    # relations that end early look at fewer samples of u than windows have
     lags = [deviation[lag : lag + count] for lag in range(known // m)]
     return np.concatenate(lags, 1)
 

@@ -37,6 +37,7 @@ def plot_parameters(found: ParameterSet) -> "Figure":
         axes = fig.subplots(rows, columns, squeeze=False).ravel()
         for ax, (i, j) in zip(axes, pairs, strict=False):
             _pair(ax, found, i, j)
+        # the last row may not be full
         for ax in axes[len(pairs) :]:
             ax.set_visible(False)
         fig.suptitle(_title(found), x=0.02, ha="left", fontsize=10.5, color=INK)
@@ -82,6 +83,7 @@ def _one(found: ParameterSet) -> "Figure":
 def _limits(found: ParameterSet, name: str) -> tuple[float, float]:
     """Return the ends of an axis: of the hull and some room, or of all that was searched."""
     lo, hi = found.hull.get(name, found.bounds[name])
+    # a parameter of one value still needs an axis of some width
     room = AROUND * (hi - lo) or 1.0
     return lo - room, hi + room
 

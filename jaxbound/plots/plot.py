@@ -20,8 +20,8 @@ def plot(thing: object, time: object = None, alarms: object = None, ax: object =
             Signatures or Isolability: the table as a heat map. A TuneResult: the search and the margins.
             A Diagnosis: the smallest size of each named fault that alone explains an alarm.
             An Assessment: faulty against healthy windows in alarm, over factors on the bounds.
-            A Fitted: the share of its bounds that each window needs. A StudyResult: what is detected against
-                the size of a fault.
+            A Fitted: the share of its bounds that each window needs. A Look: each column.
+            A StudyResult: what is detected against the size of a fault.
             A Digest: as a Result. A Validation: the band of the true value of each output, and its faulty
                 samples.
             An Observation: the band of each output before its sample is looked at, and of each state.

@@ -59,6 +59,7 @@ def _outline(S: Zonotope | ConstrainedZonotope) -> np.ndarray:
         return vertices(S)
     angle = 2 * np.pi * np.arange(SIDES) / SIDES
     normal = np.column_stack([np.cos(angle), np.sin(angle)])
+    # support functions give tangents: the polygon lies around the set, never inside
     far = np.asarray(jax.vmap(support, (None, 0))(S, normal.astype(S.center.dtype)))
     after = np.roll(far, -1)  # two neighbouring sides meet where both are touched
     along = (after - far * np.cos(angle[1])) / np.sin(angle[1])

@@ -78,6 +78,7 @@ def _sizes(res: StudyResult, trial: Trial, tally: TrialTally) -> StudyChart:
     guaranteed = finite(trial.guaranteed)
     if guaranteed is not None:
         least, most = min(least, guaranteed), max(most, guaranteed)
+    # one size alone, or size 0, still needs an axis of some width
     room = 0.03 * (most - least) or abs(most) or 1.0
     curves = []
     for name, colour, ends in (
@@ -103,7 +104,9 @@ def _size_label(res: StudyResult, trial: Trial) -> str:
 def _delays(trial: Trial, tally: TrialTally) -> StudyChart:
     """Return the chart of the shares detected within so many samples, for a few of the sizes."""
     sizes = len(trial.sizes)
+    # nothing is detected later: the axis ends there
     last = int(np.max(np.flatnonzero(tally.delays.any(0)), initial=1))
+    # the smallest and the largest size are among the few
     picked = np.unique(np.linspace(0, sizes - 1, min(CURVES, sizes)).round().astype(int))
     curves = []
     for rank, i in enumerate(picked):
@@ -150,6 +153,7 @@ def _draw(ax: "Axes", chart: StudyChart) -> None:
         if curve.low is None or curve.high is None:
             ax.step(curve.x, curve.share, where="post", lw=1.4, **look)
             continue
+        # rounding may put an end of the interval on the wrong side of the share
         bar = np.abs(np.nan_to_num([curve.share - curve.low, curve.high - curve.share]))
         ax.errorbar(curve.x, curve.share, bar, marker="o", ms=3.5, capsize=2, lw=1.4, **look)
     if chart.guaranteed is not None:

@@ -62,8 +62,10 @@ class Timeline:
         margin = np.where(np.isneginf(margin), -1e15, margin)
         if self.x is None:
             self.x = np.empty(len(self.bins), x.dtype)
+        # the time of a bin is that of its first sample, which an earlier piece may have had
         self.x[first:stop] = x[self.bins[first:stop] - start]
         self.status[put] = np.maximum(self.status[put], np.maximum.reduceat(status, edges))
+        # a bin that two pieces share keeps the extremes of both; NaN stands for no margin
         self.low[put] = np.fmin(self.low[put], np.fmin.reduceat(margin, edges))
         self.high[put] = np.fmax(self.high[put], np.fmax.reduceat(margin, edges))
 
@@ -123,6 +125,7 @@ def _margin(ax: "Axes", x: np.ndarray, low: np.ndarray, high: np.ndarray, thinne
         ax.fill_between(x, low, high, color=ENVELOPE, alpha=0.5, lw=0)
     ax.plot(x, low, color=INK, lw=0.9)
     with np.errstate(invalid="ignore"):
+        # marked by dots: the line of a single sample would be too thin to see
         out = low < 0
     ax.plot(x[out], low[out], ls="", marker="o", ms=2.6, color=FAULTY, zorder=3)
     ax.axhline(0, color="#30363d", lw=1.1, zorder=2)
@@ -140,6 +143,7 @@ def _margin(ax: "Axes", x: np.ndarray, low: np.ndarray, high: np.ndarray, thinne
 
 def _steep_scale(ax: "Axes", right: "Axes", lowest: float) -> None:
     """Scale margins far below 0 by their logarithm, with a tick at some powers of ten."""
+    # even to -1, where bounds twice as wide would do, by powers of ten below
     size = float(np.log10(-lowest))
     for side in (ax, right):
         side.set_yscale("symlog", linthresh=1, linscale=max(0.6, 0.35 * size))
@@ -147,6 +151,7 @@ def _steep_scale(ax: "Axes", right: "Axes", lowest: float) -> None:
     margins = [(1.0, "1"), (0.5, "0.5"), (0.0, "0"), (-1.0, "-1")]
     factors = [(1.0, "×1"), (2.0, "×2")]
     powers = range(int(np.ceil(size)) + 1)
+    # four labels at most: more would lie over each other
     for n in powers[:: max(1, len(powers) // 4)][1:]:
         margins.append((-(10.0**n), f"-1e{n}"))
         factors.append((10.0**n, f"×1e{n}"))
@@ -193,6 +198,7 @@ def _ribbon(ax: "Axes", x: np.ndarray, status: np.ndarray, observes: bool) -> No
     if observes:  # of a healthy sample: nothing to warn of
         colours[Status.UNDECIDED] = CALM
         names[Status.UNDECIDED] = shown_name(Status.UNDECIDED, remembers=True)
+    # each verdict reaches half way to its neighbours: times need not be even
     edges = np.concatenate([x[:1], x[1:] - (x[1:] - x[:-1]) / 2, x[-1:]])
     shades = ListedColormap([colours[s] for s in Status])
     ax.pcolormesh(edges, [0, 1], status[None, :], cmap=shades, vmin=-0.5, vmax=3.5)

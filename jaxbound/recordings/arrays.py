@@ -22,8 +22,10 @@ from jaxbound.recordings.factors import (
     narrowed,
     with_factors,
 )
+from jaxbound.recordings.notations import noted_numbers
 from jaxbound.recordings.oddcells import OddCells, error_hints, odd_of_frame, refuse_odd, unsaid_hints
-from jaxbound.recordings.selection import Column, column_for, expressions_of
+from jaxbound.recordings.recordingformat import format_of
+from jaxbound.recordings.selection import Column, column_for, expressions_of, period
 from jaxbound.recordings.signals import Named
 from jaxbound.recordings.table import Data, as_table, is_table
 from jaxbound.recordings.tabletime import row_time
@@ -187,12 +189,18 @@ def computed(
 
 
 def _values(
-    e: Column | Expression, frames: Mapping[str, Any], name: str, given: Mapping[str, np.ndarray] = NO_TABLES
+    e: Column | Expression,
+    frames: Mapping[str, Any],
+    name: str,
+    given: Mapping[str, np.ndarray] = NO_TABLES,
+    model: Named | None = None,
 ) -> np.ndarray:
-    """Return the values of a signal, whose columns are called as they are in the tables; see `computed`."""
+    """Return the values of a signal, whose columns are called as they are in the tables; see `computed`.
+    model: whose sampling period it is, None: nothing here needs one.
+    """
     values: dict[str, np.ndarray] = {}
     if e.clock:
-        values |= _told_by_clock(e, frames)
+        values |= _told_by_clock(e, frames, model)
     for column in e.read:
         if column in given:
             values[column] = given[column]
@@ -216,14 +224,19 @@ def _cells_of(column: str, frames: Mapping[str, Any]) -> "pd.Series":
     return next(x.index.to_series() for x in frames.values() if str(x.index.name) == column)
 
 
-def _told_by_clock(e: Column | Expression, frames: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def _told_by_clock(
+    e: Column | Expression, frames: Mapping[str, Any], model: Named | None
+) -> dict[str, np.ndarray]:
     """Return the names that the times of the rows tell, see `expressions.derived`."""
     index = next(iter(frames.values())).index
     times = row_time(index, None, "", regular=False)
     since = times.time
     if since is not None and len(since):
         since = since - since[0]
-    return derived(e.clock, len(index), since, times.stamps)
+    dt = None
+    if model is not None:
+        dt = period(model, since)
+    return derived(e.clock, len(index), since, times.stamps, dt)
 
 
 def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, np.ndarray | None, list[str]]:
@@ -235,17 +248,28 @@ def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, np.ndarra
     """
     cleaned = {name: x for name, x in (("y", y), ("u", u)) if is_table(x)}
     odd: dict[str, OddCells] = {}
+    how, hints = format_of(model), []
     for name, frame in cleaned.items():
+        for column in _number_columns(frame, model) if how.numbers else ():
+            known = frame[column].mask(frame[column].isin(how.numbers))
+            cleaned[name] = cleaned[name].assign(**{column: known})
         for column in _text_columns(frame, model):
             numbers, cells = odd_of_frame(frame[column])
+            if not len(cells.rows):
+                continue
+            cells = cells.without(how.missing)
             if len(cells.rows):
+                noted = noted_numbers(frame[column].tolist(), how)
+                if noted is not None:
+                    numbers, cells = noted[0], cells.without(cells.words)
+                    hints.append(f"column {column!r} is read as written, like {noted[1]}")
                 odd[column] = cells
-                cleaned[name] = cleaned[name].assign(**{column: numbers})
+            cleaned[name] = cleaned[name].assign(**{column: numbers})
     condition, excluded, row = _condition(model), None, "row {}".format
     if condition is not None and cleaned:
         excluded = fails(computed(condition, cleaned, "the recording"))
     refuse_odd(odd, excluded, row)
-    hints = list(error_hints(odd, excluded, row))
+    hints += error_hints(odd, excluded, row)
     if condition is not None:
         hints += unsaid_hints(odd, condition.columns, row)
     return cleaned.get("u", u), cleaned.get("y", y), excluded, hints
@@ -268,11 +292,16 @@ def _text_columns(frame: "pd.DataFrame", model: Named) -> list[str]:
     words = [c for c in words if list(frame.columns).count(c) == 1]
     if not words:
         return []
+    return [c for c in words if c in _number_columns(frame, model)]
+
+
+def _number_columns(frame: "pd.DataFrame", model: Named) -> list[str]:
+    """Return the columns of a table that a model needs as numbers."""
     signals = (*model.inputs, *model.outputs)
     needed = {*signals, *map(str.strip, map(getattr(model, "column", str), signals))}
     for e in expressions_of(model):
         needed.update(set(e.columns) - e.texts)
-    return [c for c in words if str(c).strip() in needed]
+    return [c for c in frame.columns if str(c).strip() in needed]
 
 
 def _signals_by_name(model: Named, data: Data, name: str, channels: Sequence[str]) -> np.ndarray:
@@ -289,7 +318,7 @@ def _signals_by_name(model: Named, data: Data, name: str, channels: Sequence[str
     recorded: np.dtype = np.dtype(np.float64)
     for channel in channels:
         signal = column_for(channel, names, model, name)
-        numbers.append(_float_array(_values(signal, {"": data}, name), name))
+        numbers.append(_float_array(_values(signal, {"": data}, name, model=model), name))
         for column in signal.read:
             kind = _cells_of(column, {"": data}).dtype
             if getattr(kind, "numpy_dtype", kind) == np.float32:  # of pandas' own types

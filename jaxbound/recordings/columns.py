@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
-from typing import IO, TYPE_CHECKING, TypeAlias
+from typing import IO, TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,22 @@ Arrow: TypeAlias = "pa.Array"
 """A column as pyarrow has it, which is imported where one is made."""
 UNITS = ("s", "ms", "us", "ns")
 """Of a time stamp: the first that it is a whole number of is written."""
+
+
+class Words(NamedTuple):
+    """A column of names[code].
+
+    Example:
+        >>> Words(["no", "yes"], np.array([1, 0])).tolist()
+        ['yes', 'no']
+    """
+
+    names: Sequence[str]
+    codes: np.ndarray
+
+    def tolist(self) -> list[str]:
+        """Return the words, as an array returns its numbers."""
+        return list(map(self.names.__getitem__, self.codes.tolist()))
 
 
 def from_arrow(column: "pa.Array") -> np.ndarray:
@@ -48,10 +64,12 @@ def valid(column: "pa.Array") -> np.ndarray:
     return bits[column.offset : column.offset + len(column)].astype(bool)
 
 
-def to_arrow(x: ArrayLike) -> "pa.Array":
-    """Return floats (NaN becomes null), whole numbers, bools or datetime64[ns] as a pyarrow array."""
+def to_arrow(x: "ArrayLike | Words") -> "pa.Array":
+    """Return floats (NaN becomes null), whole numbers, bools, datetime64[ns] or Words as a pyarrow array."""
     import pyarrow as pa
 
+    if isinstance(x, Words):
+        return texts(x.names).take(to_arrow(x.codes))
     x = np.ascontiguousarray(x)
     if x.dtype == bool:
         return pa.Array.from_buffers(pa.bool_(), len(x), [None, _packed_bits(x)])
@@ -70,16 +88,6 @@ def _packed_bits(mask: np.ndarray) -> "pa.Buffer":
     import pyarrow as pa
 
     return pa.py_buffer(np.packbits(mask, bitorder="little"))
-
-
-def words(names: Sequence[str], codes: np.ndarray) -> "pa.Array":
-    """Return the pyarrow array of names[code].
-
-    Example:
-        >>> words(["no", "yes"], np.array([1, 0])).to_pylist()
-        ['yes', 'no']
-    """
-    return texts(names).take(to_arrow(codes))
 
 
 def texts(names: Sequence[str]) -> "pa.Array":

@@ -74,7 +74,7 @@ class CountedLines:
         self.lines += int(ends)
         filled = data.rstrip(b" \r\n")
         if filled:
-            self._trailing = len(_line_ends(data[len(filled) :])) - 1
+            self._trailing = len(line_ends(data[len(filled) :])) - 1
         else:
             self._trailing += int(ends)
         if b'"' in data:
@@ -95,11 +95,11 @@ def split_lines(data: bytes) -> list[bytes]:
         >>> split_lines(b"a\nb\r\nc\rd\r\r\n\n")
         [b'a', b'b', b'c', b'd', b'']
     """
-    lines = _line_ends(data)
+    lines = line_ends(data)
     return lines if lines[-1] else lines[:-1]
 
 
-def _line_ends(data: bytes) -> list[bytes]:
+def line_ends(data: bytes) -> list[bytes]:
     """Return the lines of bytes and what stands behind the last end, perhaps nothing."""
     return _with_newlines(data).split(b"\n")
 
@@ -117,7 +117,7 @@ def lines_of(file: IO[bytes]) -> Iterator[bytes]:
     """Yield the lines of a file, without their ends; not one that has none."""
     counted = CountedLines(file)
     while block := counted.read():
-        yield from _line_ends(block)[:-1]
+        yield from line_ends(block)[:-1]
 
 
 def is_open(line: bytes, delimiter: bytes) -> bool:

@@ -35,6 +35,14 @@ CLOCK = TIME_OF_DAY, TIME_SINCE_START, PI
 """Names that an expression may use beside columns, unless a column is called so: seconds since midnight of
 the recording's own clock, seconds since the first sample of the recording, and a number.
 """
+STEP = "= seconds since the sample before"
+"""A name that a rate needs, which no column has: NaN where the sample before does not count."""
+ANGLE, RATE = "angle", "rate"
+PERIODIC = SIN, COS = "sin", "cos"
+WRAPS = 0.1
+"""Share of its range up to which a counter that falls has run over: beyond, it may have begun anew."""
+LATE = 1.2
+"""Usual steps from which on the sample before is too long ago for a rate."""
 
 Operation = Callable[..., np.ndarray]
 Value = np.ndarray | np.generic | str
@@ -45,8 +53,31 @@ NAMES_OF_FUNCTIONS = """
     arctanh floor ceil minimum maximum
 """.split()
 OF_TWO = ("arctan2", "minimum", "maximum")
-"""Functions of two numbers; the others take one."""
+"""Functions of two numbers; the others take one, an angle and a rate one or two."""
+
+
+def angle(x: np.ndarray, turn: float = 360.0) -> np.ndarray:
+    """Return an angle in radians. turn: the number that is once around."""
+    return x * (2 * np.pi / turn)
+
+
+def rate(step: np.ndarray, x: np.ndarray, over: float | None = None) -> np.ndarray:
+    """Return by how much a counter grows in a second, (N,); NaN at the first sample and where it falls.
+
+    Args:
+        step: (N,) seconds since the sample before. x: (N,) its counts. over: the count at which it begins at
+            0 again, like 65536: a fall by which it then grew less than a tenth of that is none.
+    """
+    grown = np.diff(x, prepend=np.nan)
+    if over is not None:
+        again = grown + over
+        grown = np.where((grown < 0) & (again <= WRAPS * over), again, grown)
+    grows: np.ndarray = np.where(grown < 0, np.nan, grown) / step
+    return grows
+
+
 FUNCTIONS: dict[str, Operation] = {name: getattr(np, name) for name in NAMES_OF_FUNCTIONS}
+FUNCTIONS |= {ANGLE: angle, RATE: rate}
 ARITHMETIC: dict[type[ast.operator | ast.unaryop], Operation] = {
     ast.Add: np.add,
     ast.Sub: np.subtract,
@@ -102,6 +133,11 @@ class Expression:
         """Names of the columns that are read of a recording."""
         return tuple(c for c in self.columns if c not in self.clock)
 
+    @property
+    def looks_back(self) -> bool:
+        """Whether the value of a sample needs the sample before it."""
+        return STEP in self.columns
+
     def among(self, present: Iterable[str]) -> "Expression":
         """Return the same Expression with the columns as they are called in a recording, where blanks at the
         ends do not count.
@@ -112,7 +148,7 @@ class Expression:
         where = f"the recording, for {self.text!r},"
         present = list(present)
         there = {str(c).strip() for c in present}
-        clock = frozenset(c for c in self.columns if c in CLOCK and c not in there)
+        clock = frozenset(c for c in self.columns if c in (*CLOCK, STEP) and c not in there)
         called = {c: c if c in clock else find_column(c, present, where) for c in self.columns}
         return Expression(
             self.text,
@@ -180,7 +216,10 @@ class Expression:
                     return column.astype(np.float64, copy=False)
                 return column
             case ast.Call():
-                return FUNCTIONS[ast.unparse(node.func)](*parts)
+                called = ast.unparse(node.func)
+                if called == RATE:
+                    parts = [columns[STEP], *parts]
+                return FUNCTIONS[called](*parts)
             case ast.BoolOp():
                 return reduce(LOGIC[type(node.op)], parts)
             case ast.Compare():
@@ -210,13 +249,18 @@ class Expression:
 
 
 def derived(
-    names: Iterable[str], count: int, since: np.ndarray | None, stamps: np.ndarray | None
+    names: Iterable[str],
+    count: int,
+    since: np.ndarray | None,
+    stamps: np.ndarray | None,
+    dt: float | None = None,
 ) -> dict[str, np.ndarray]:
-    """Return {name: (N,) floats} of names of `CLOCK`.
+    """Return {name: (N,) floats} of names of `CLOCK`, and `STEP`.
 
     Args:
         names: those that are needed. count: N. since: (N,) s since the first sample of the recording, or None
-            where nothing tells it. stamps: (N,) datetime64, or None.
+            where nothing tells it. stamps: (N,) datetime64, or None. dt: sampling period in s, None: not
+            known.
 
     Raises:
         ValueError: no dates for a time of day, no times at all.
@@ -232,10 +276,26 @@ def derived(
                 )
             values[name] = (stamps - stamps.astype("datetime64[D]")) / np.timedelta64(1, "s")
         elif since is None:
-            raise ValueError(f"{name} needs the times of the samples: give a column of them")
+            what = {STEP: RATE}.get(name, name)
+            raise ValueError(f"{what} needs the times of the samples: give a column of them")
+        elif name == STEP:
+            values[name] = _steps(np.asarray(since, float), dt)
         else:
             values[name] = np.asarray(since, float)
     return values
+
+
+def _steps(since: np.ndarray, dt: float | None) -> np.ndarray:
+    """Return (N,) seconds since the sample before, NaN behind a gap and where the clock does not go on.
+
+    Without dt a usual step is one that 19 of 20 do not exceed.
+    """
+    steps = np.diff(since, prepend=np.nan)
+    forward = steps[steps > 0]
+    if not len(forward):
+        return np.full(len(since), np.nan)
+    usual = dt or float(np.quantile(forward, 0.95, method="inverted_cdf"))
+    return np.where((steps > 0) & (steps <= LATE * usual), steps, np.nan)
 
 
 def _as_number(x: Value) -> Value:
@@ -301,13 +361,47 @@ def expression(text: str) -> Expression:
     _check_nodes(text, nodes)
     texts, strings = _compared_with_text(nodes)
     _check_constants(text, nodes, strings)
-    functions = {id(node.func) for node in nodes if isinstance(node, ast.Call)}
+    functions = {id(node.func): ast.unparse(node.func) for node in nodes if isinstance(node, ast.Call)}
     names = {node.id: node.id for node in nodes if isinstance(node, ast.Name) and id(node) not in functions}
     names |= {key: column for column, key in ticked.items()}
     if not names:
         raise ValueError(f"the expression {text!r} names no column")
     columns = tuple(dict.fromkeys(names.values()))
+    if RATE in functions.values():
+        columns = (*columns, STEP)
     return Expression(text, columns, frozenset(names[x] for x in texts), names, tree)
+
+
+def with_angles(names: Iterable[str], columns: Mapping[str, str]) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Return (names, columns) in which two signals stand for one that is an angle: its sine and its cosine.
+
+    Args:
+        names: of signals. columns: {signal: column or "= expression"}.
+
+    Example:
+        >>> with_angles(["wind", "T"], {"wind": "= angle(WD)"})
+        (('wind sin', 'wind cos', 'T'), {'wind sin': '= sin(angle(WD))', 'wind cos': '= cos(angle(WD))'})
+    """
+    every: list[str] = []
+    called = dict(columns)
+    for name in names:
+        text = columns.get(name, "").strip().removeprefix("=").strip()
+        if not text.startswith(ANGLE) or not is_expression(columns[name]) or not _is_angle(text):
+            every.append(name)
+            continue
+        del called[name]
+        for part in PERIODIC:
+            every.append(f"{name} {part}")
+            called[f"{name} {part}"] = f"= {part}({text})"
+    return tuple(every), called
+
+
+def _is_angle(text: str) -> bool:
+    """Return whether an expression is an angle and nothing else."""
+    whole = expression(f"{SIN}({text})").tree
+    assert isinstance(whole, ast.Call)
+    inner = whole.args[0]
+    return isinstance(inner, ast.Call) and ast.unparse(inner.func) == ANGLE
 
 
 def _parsed(text: str, code: str) -> ast.expr:
@@ -341,8 +435,42 @@ def _check_nodes(text: str, nodes: Iterable[ast.AST]) -> None:
         if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS or node.keywords:
             _refuse_part(text, f"the function {ast.unparse(node.func)}")
         name, count = node.func.id, len(node.args)
-        if count != 1 + (name in OF_TWO):
+        if name in (ANGLE, RATE):
+            _check_second(text, node, name)
+        elif count != 1 + (name in OF_TWO):
             raise ValueError(f"the expression {text!r} gives {name} {count} numbers")
+    _refuse_bare_angle(text, nodes)
+
+
+def _check_second(text: str, node: ast.Call, name: str) -> None:
+    """Raise ValueError if an angle or a rate is of no column, or if the number behind it is none above 0."""
+    first, *others = node.args or [node.func]
+    if not node.args or not any(isinstance(part, ast.Name) for part in ast.walk(first)):
+        raise ValueError(f"the expression {text!r} gives {name} no column")
+    for other in others:
+        number = getattr(other, "value", None)
+        if len(others) > 1 or not isinstance(number, int | float) or not number > 0:
+            like = {ANGLE: "400 of gon", RATE: "65536"}[name]
+            raise ValueError(
+                f"the expression {text!r}: behind the column {name} takes one number above 0, like {like}"
+            )
+
+
+def _refuse_bare_angle(text: str, nodes: Iterable[ast.AST]) -> None:
+    """Raise ValueError if an angle is a number of its own: it jumps where nothing does."""
+    inside: set[int] = set()
+    angles: list[ast.Call] = []
+    for node in nodes:
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            if node.func.id in PERIODIC:
+                inside.update(map(id, ast.walk(node)))
+            if node.func.id == ANGLE:
+                angles.append(node)
+    if any(id(node) not in inside for node in angles):
+        raise ValueError(
+            f"the expression {text!r}: an angle jumps where it is once around, so it is no signal by itself: "
+            f"take sin(angle(..)) and cos(angle(..)), or a signal that is angle(..) and nothing else"
+        )
 
 
 def _compared_with_text(nodes: Iterable[ast.AST]) -> tuple[set[str], set[int]]:

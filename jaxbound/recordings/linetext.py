@@ -14,27 +14,34 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow
-from jaxbound.recordings.csvlines import CountedLines, lines_of
+from jaxbound.recordings.csvlines import CountedLines, line_ends, lines_of
 from jaxbound.recordings.csvtext import (
     BLANK,
     BLANK_CELLS,
+    FURTHER,
     MISSING_CELLS,
     NUMBER,
     UNCLOSED,
     UNENDED,
+    ZEROS,
+    Head,
     Layout,
     is_number,
+    layout_of,
 )
+from jaxbound.recordings.notations import Notation, notation_of
 from jaxbound.recordings.oddcells import OddCells, no_number, refuse_odd
+from jaxbound.recordings.recordingformat import RecordingFormat
 from jaxbound.recordings.selection import wanted
 from jaxbound.recordings.signals import SignalModel
-from jaxbound.recordings.timestamps import with_day
+from jaxbound.recordings.timestamps import DATES, parse_stamps, with_day
 
 if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.csv as pc
 
 FEW = 8  # lines that are read one by one, sooner than pyarrow gets going
+SINGULAR = {"are": "is", "have": "has", "hold": "holds", "repeat": "repeats"}
 Opened = Callable[[], IO[bytes]]
 """Opens the bytes of the lines, from their beginning."""
 
@@ -54,6 +61,33 @@ class Cells(NamedTuple):
     rows: int
     decimal: str = ""
 
+    @property
+    def repeated(self) -> np.ndarray:
+        """(N - 1,) bool: whether each row but the first holds what the row before it does."""
+        same = np.ones(max(self.rows - 1, 0), bool)
+        for x in self.columns.values():
+            missing = x != x  # NaN; a text is what it is
+            same &= (x[1:] == x[:-1]) | (missing[1:] & missing[:-1])
+        for cells in self.odd.values():  # words are not compared
+            same[np.maximum(cells.rows - 1, 0)] = False
+            same[np.minimum(cells.rows, len(same) - 1)] = False
+        return same
+
+    def kept(self, rows: np.ndarray) -> "Cells":
+        """Return the cells of some rows, (N,) bool."""
+        import pyarrow as pa
+
+        places = np.cumsum(rows) - 1
+        odd = {}
+        for name, words in self.odd.items():
+            left = words.at(rows[words.rows])
+            odd[name] = OddCells(places[left.rows], left.words)
+        columns = {name: x[rows] for name, x in self.columns.items()}
+        times = self.times
+        if times is not None:
+            times = times.filter(pa.array(rows))
+        return Cells(columns, times, odd, int(rows.sum()), self.decimal)
+
 
 class LineReader:
     """Reads lines of one layout.
@@ -62,7 +96,8 @@ class LineReader:
         layout: of the text; its .blank and .hints are filled. model: whose signals are wanted.
 
     Fields: layout; plan (`selection.Wanted`); index: {column: its number}; texts: columns that are not read
-    as numbers; is_text: the time is written as text.
+    as numbers; is_text: the time is written as text; notations: of columns whose numbers are written in
+    another way than those of the file; left: {reason: numbers of lines that are no rows for it}.
 
     Raises:
         ValueError: see `selection.wanted`.
@@ -75,26 +110,180 @@ class LineReader:
             self.plan = replace(self.plan, time="")  # an index of time stamps without a name, as of pandas
         self.index = {name: names.index(name) for name in self.plan.columns}
         self.texts, time = {*self.plan.texts}, self.plan.time
-        self.is_text = time is not None and not is_number(layout.first[self.index[time]], layout.decimal)
+        self.notations: dict[str, Notation] = {}
+        self.plain: set[str] = set()  # columns of a stream in which usual numbers came
+        self.left: dict[str, list[int]] = {}
+        self.sign = ""  # of most numbers, where some cells hold none
+        self.is_text = time is not None and (
+            layout.how.time_format not in ("", *DATES)
+            or not is_number(layout.first[self.index[time]], layout.decimal)
+        )
         if self.is_text:
             self.texts |= {name for name in (time, self.plan.day) if name is not None}
 
     def read(self, opened: Opened) -> Cells:
-        """Return the cells of all rows.
+        """Return the cells of all rows, a column whose cells all are written in another way in that one.
 
         Raises:
             ValueError: a row that cannot be read, or is not what pyarrow took for one: which, and why.
         """
+        cells = self._read(opened)
+        noted = []
+        for name, odd in cells.odd.items():
+            if name != self.plan.time and odd.among(None, errors=False).words:
+                noted.append(name)
+        if noted:
+            texts = self.written(opened)
+            assert texts is not None, "it was read before"
+            for name in noted:
+                self._note(name, texts[name], cells)
+        return cells
+
+    def _read(self, opened: Opened) -> Cells:
+        """Return the cells of all rows, in the notation of the file."""
         for decimal in self.layout.decimals:
             # the first rows may be whole numbers, which do not show the decimal sign of those below
             table = self._table(opened, decimal)
             if table is not None:
-                return self._cells(table, {}, decimal)
+                return self._without_missing(self._cells(table, {}, decimal))
         texts = self.written(opened)
         if texts is None:
-            raise ValueError(self._bad_row(opened))
+            raise ValueError(self.trouble_in(opened))
         readings = [self._numbers_among(texts, sign) for sign in self.layout.decimals]
-        return min(readings, key=lambda cells: sum(len(odd.rows) for odd in cells.odd.values()))
+        counts = [sum(len(odd.rows) for odd in cells.odd.values()) for cells in readings]
+        best = counts.index(min(counts))
+        self.sign = self.layout.decimals[best]
+        return self._without_missing(readings[best])
+
+    def _note(self, name: str, texts: "pa.Array", cells: Cells) -> None:
+        """Read a column in the notation that all its cells have, if there is one, and say so."""
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
+        trimmed = pc.utf8_trim_whitespace(texts)
+        missing = pc.is_in(trimmed, pa.array([*MISSING_CELLS, *self.layout.how.missing]))
+        known = pc.if_else(missing, pa.scalar(None, pa.string()), trimmed)
+        notation = notation_of(pc.drop_null(known), self.layout.decimals, self.layout.how)
+        if notation is None:
+            return
+        errors = cells.odd.pop(name).among(None, errors=True)
+        if errors.words:
+            cells.odd[name] = errors
+        cells.columns[name] = notation.numbers(known)[0]
+        self.notations[name] = notation
+        self.layout.hints.append(
+            f"column {name!r} is read as written, like {pc.drop_null(known)[0]}: {notation.words}"
+        )
+
+    def _without_missing(self, cells: Cells) -> Cells:
+        """Return cells without the words that are stated to stand for missing samples."""
+        odd = {}
+        for name, words in cells.odd.items():
+            others = words.without(self.layout.how.missing)
+            if others.words:
+                odd[name] = others
+        return cells._replace(odd=odd)
+
+    def aside(self, line: bytes) -> str:
+        """Return the reason for which a line below the header is no row, "" where it may be one.
+
+        Where no column tells the time nothing would say that samples are missing there, and each is a row.
+        """
+        layout, how = self.layout, self.layout.how
+        text = layout.text(line)
+        if how.comment and text.startswith(how.comment):
+            return "are a comment"
+        if ZEROS in line and self.plan.time is not None:
+            return "hold zero bytes, as a power cut leaves them"
+        if self.plan.time is None or len(layout.names) == 1 or layout.is_blank(line):
+            return ""
+        if text.strip() in layout.above:
+            return "repeat what stands above the samples"
+        if not text.strip(layout.delimiter + ' "'):
+            return "hold no cell"
+        cells = layout.cells(line)
+        for name in (self.plan.day, self.plan.time):
+            is_whole = name is not None and len(cells) == len(layout.names)
+            if is_whole and cells[self.index[str(name)]].strip() in BLANK_CELLS:
+                return "hold no time"
+        return ""
+
+    def sifted(self, opened: Opened) -> bytes | None:
+        """Return all lines, without what stands in those that are no rows; None where there are none.
+
+        The last lines may be a summary: those behind the last one that is a row.
+        """
+        skipped = {*self.layout.how.skip}
+        with opened() as file:
+            *lines, tail = line_ends(file.read())
+        rows, left = [], self.left
+        for number in range(self.layout.skip, len(lines)):
+            line = lines[number]
+            reason = self.aside(line)
+            if number + 1 in skipped:
+                reason = "are left out as stated"
+            if reason:
+                left.setdefault(reason, []).append(number + 1)
+            elif not self.layout.is_blank(line):
+                rows.append(number + 1)
+        footer = self._footer(lines, rows)
+        if footer:
+            left["hold no sample, behind the last"] = footer
+        untimed = left.get("hold no time", ())
+        if not left or 2 * len(untimed) > len(rows) + len(untimed):
+            return None
+        for numbers in left.values():
+            for number in numbers:
+                lines[number - 1] = b""
+        return b"\n".join([*lines, tail])
+
+    def _footer(self, lines: Sequence[bytes], rows: Sequence[int]) -> list[int]:
+        """Return the numbers of lines, behind all rows, that hold no sample; [] where there are many."""
+        behind: list[int] = []
+        for number in reversed(rows):
+            if self._is_sample(lines[number - 1]):
+                return behind[::-1]
+            behind.append(number)
+            if len(behind) > FURTHER:
+                break
+        return []
+
+    def _is_sample(self, line: bytes) -> bool:
+        """Return whether a line has as many cells as the header, and a time like the first one's."""
+        import pyarrow as pa
+
+        layout, cells = self.layout, self.layout.cells(line)
+        if len(cells) != len(layout.names) or layout.is_open(line):
+            return len(cells) == len(layout.names)
+        if self.plan.time is None:
+            return not self.trouble(line)
+        at = self.index[self.plan.time]
+        if not self.is_text:
+            return is_number(cells[at], layout.decimal)
+        try:
+            parse_stamps(pa.array([layout.first[at], cells[at]]), 1.0, str, layout.how)
+        except ValueError:
+            return False
+        return True
+
+    @property
+    def time_name(self) -> str:
+        """The name of the column of times, behind which the unit stands that is stated."""
+        unit = self.layout.how.time_unit
+        if not unit:
+            return str(self.plan.time)
+        return f"{self.plan.time} [{unit}]"
+
+    @property
+    def left_hints(self) -> list[str]:
+        """The sentences on lines that are no rows."""
+        hints = []
+        for reason, numbers in self.left.items():
+            if len(numbers) == 1:
+                hints.append(f"row {numbers[0]} {of_one(reason)}: left out")
+            else:
+                hints.append(f"{len(numbers)} rows {reason}, the first is row {numbers[0]}: left out")
+        return hints
 
     def written(self, opened: Opened) -> "dict[str, pa.Array] | None":
         """Return all columns as the texts that stand there; None where some row cannot be read."""
@@ -107,9 +296,12 @@ class LineReader:
             ValueError: a line that is no row.
         """
         if len(lines) > FEW:
-            cells = self.read(lambda: BytesIO(b"\n".join(lines) + b"\n"))
+            cells = self._read(lambda: BytesIO(b"\n".join(lines) + b"\n"))
             if not cells.decimal:  # a few lines at a time have a sign each, however a stream is cut
                 raise ValueError("some cells hold no numbers")
+            for name, x in cells.columns.items():
+                if x.dtype != object and not np.isnan(x).all():
+                    self.plain.add(name)
             return cells
         rows: list[list[str]] = []
         for line in lines:
@@ -119,7 +311,7 @@ class LineReader:
             if len(row) != len(self.layout.names) or self.layout.is_open(line):
                 raise ValueError(self.trouble(line))
             rows.append(row)
-        return self._plain_cells(rows)
+        return self._without_missing(self._plain_cells(rows))
 
     def trouble(self, line: bytes) -> str:
         """Return the trouble with a line, as far as its cells show; or ""."""
@@ -166,7 +358,7 @@ class LineReader:
                 bad = [k for k, x in enumerate(numbers) if x is None]
                 if bad:
                     odd[name] = OddCells(np.array(bad), [rows[k][i].strip() for k in bad])
-        return Cells(columns, self._time_of(times), odd, len(rows))
+        return Cells(columns, self.joined_time(times), odd, len(rows))
 
     def _numbers_in(self, row: Sequence[str]) -> dict[str, float | None]:
         """Return {column: its number in a row, NaN of a blank cell, None where it holds none}."""
@@ -179,7 +371,27 @@ class LineReader:
                 best, fewest = numbers, count
             if not count:
                 break
+        for name, number in best.items():
+            if number is None and name != self.plan.time:
+                best[name] = self._noted_number(name, row[self.index[name]].strip())
+            elif number is not None and not np.isnan(number):
+                self.plain.add(name)
         return best
+
+    def _noted_number(self, name: str, cell: str) -> float | None:
+        """Return the number of a cell in the notation of its column, which the first such cell shows."""
+        import pyarrow as pa
+
+        cells, notation = pa.array([cell]), self.notations.get(name)
+        if notation is None and name not in self.plain and cell not in self.layout.how.missing:
+            notation = notation_of(cells, self.layout.decimals, self.layout.how)
+        if notation is None:
+            return None
+        (number,), (fits,) = notation.numbers(cells)
+        if not fits:
+            return None
+        self.notations[name] = notation
+        return float(number)
 
     def _table(self, opened: Opened, decimal: str | None) -> "dict[str, pa.Array] | None":
         """Return the wanted columns; None where some row or cell cannot be read. decimal: of numbers; None:
@@ -250,9 +462,9 @@ class LineReader:
                 columns[name] = np.array(table[name].to_pylist(), object)
             elif name not in self.texts:
                 columns[name] = from_arrow(table[name])
-        return Cells(columns, self._time_of(table), odd, len(next(iter(table.values()))), decimal)
+        return Cells(columns, self.joined_time(table), odd, len(next(iter(table.values()))), decimal)
 
-    def _time_of(self, texts: "Mapping[str, pa.Array]") -> "pa.Array | None":
+    def joined_time(self, texts: "Mapping[str, pa.Array]") -> "pa.Array | None":
         """Return the time of columns of texts; None where it is a column of numbers or none."""
         if not self.is_text:
             return None
@@ -305,7 +517,7 @@ class LineReader:
         if between and self.plan.time is None:
             raise ValueError(f"row {between[0]} {BLANK}")
 
-    def _bad_row(self, opened: Opened) -> str:
+    def trouble_in(self, opened: Opened) -> str:
         """Return a sentence on the first row that is none, or has a cell that is no number."""
         for number, line in self._numbered(opened):
             trouble = self.trouble(line)
@@ -317,6 +529,40 @@ class LineReader:
         """Yield the lines below the header, each behind its number."""
         with opened() as file:
             yield from islice(enumerate(lines_of(file), 1), self.layout.skip, None)
+
+
+def of_one(reason: str) -> str:
+    """Return the reason for which lines are no rows, said of a single one."""
+    verb, _, rest = reason.partition(" ")
+    return f"{SINGULAR[verb]} {rest}"
+
+
+def reader_of(head: Head, model: SignalModel, how: RecordingFormat) -> LineReader:
+    """Return the reader of lines that begin so: the row in which the names of a model stand is the header.
+
+    Raises:
+        ValueError: no row of the first ones is; see `layout_of` and `selection.wanted`.
+    """
+    try:
+        return LineReader(layout_of(head, how), model)
+    except ValueError:
+        if how.header is not None:
+            raise
+        for number, line in enumerate(head.lines[:FURTHER], 1):
+            if not line.strip():
+                continue
+            try:
+                reader = LineReader(layout_of(head, how, number), model)
+            except ValueError:
+                continue
+            above = len(list(filter(str.strip, head.lines[: number - 1])))
+            rows = f"{above} row{'s' * (above != 1)}"
+            if above:
+                reader.layout.hints.append(
+                    f"row {number} holds the names of the columns: {rows} above it left out"
+                )
+            return reader
+        raise
 
 
 def refuse_infinite(name: str, x: np.ndarray, excluded: np.ndarray | None, row: Callable[[int], str]) -> None:

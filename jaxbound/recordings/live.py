@@ -26,7 +26,7 @@ from jaxbound.recordings.means import every_of
 from jaxbound.recordings.meansource import means_source
 from jaxbound.recordings.recording import NOWHERE, Recording
 from jaxbound.recordings.seams import check_period
-from jaxbound.recordings.selection import counted_from_start
+from jaxbound.recordings.selection import counted_from_start, looks_back
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import Progress, Source
 from jaxbound.recordings.stream import Complain, Stream, Taken, digests_of
@@ -104,6 +104,10 @@ class Readings(Stream):
         if counted_from_start(model):
             raise ValueError(
                 f"{TIME_SINCE_START} is of a file or a pipe: a reading does not tell when others began"
+            )
+        if looks_back(model):
+            raise ValueError(
+                f"{looks_back(model)!r} is of a file or a pipe: a reading alone has no row before"
             )
         self.raw = iter(readings)
         self.resumed = memory is not None

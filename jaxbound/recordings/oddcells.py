@@ -5,6 +5,7 @@ first, unless `where` leaves their rows out: those may hold anything.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import compress
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -39,6 +40,14 @@ class OddCells(NamedTuple):
             if (word in ERRORS) == errors and (excluded is None or not excluded[k]):
                 chosen.append((k, word))
         return OddCells(np.array([k for k, _ in chosen], np.int64), [word for _, word in chosen])
+
+    def without(self, missing: Sequence[str]) -> "OddCells":
+        """Return those that hold none of some words."""
+        return self.at(np.array([word not in missing for word in self.words], bool))
+
+    def at(self, chosen: np.ndarray) -> "OddCells":
+        """Return some of them, (K,) bool."""
+        return OddCells(self.rows[chosen], list(compress(self.words, chosen)))
 
 
 Odd = Mapping[str, OddCells]

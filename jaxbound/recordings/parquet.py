@@ -26,15 +26,17 @@ from jaxbound.recordings.parquetfiles import (
     dated_columns,
     files_of,
     groups_of,
+    holds_numbers,
     opened,
     plan_of,
     spans_of,
 )
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import RecordingFormat, format_of
 from jaxbound.recordings.seams import period_of, rows_apart
-from jaxbound.recordings.selection import NO_TIME, Wanted
+from jaxbound.recordings.selection import NO_TIME, STAMPS, Wanted, looks_back
 from jaxbound.recordings.signals import SignalModel
-from jaxbound.recordings.source import PROBE, PartSource
+from jaxbound.recordings.source import NUMBER, PROBE, TEXT, Outline, PartSource
 from jaxbound.recordings.timestamps import in_ns, iso_stamps, since_epoch, time_label
 
 if TYPE_CHECKING:
@@ -102,6 +104,20 @@ class ParquetSource(PartSource):
     def open(cls, data: object, model: SignalModel) -> "ParquetSource":
         """Return the source of a file or folder. See `open_parquet`."""
         return open_parquet(str(data), model)
+
+    @classmethod
+    def outline(cls, data: object, how: RecordingFormat) -> Outline:
+        """Return how the files are written, by the types of the first."""
+        files = files_of(Path(str(data)))
+        with opened(files[0], str(files[0])) as f:
+            stamps, kinds = dated_columns(f), {}
+            for field in f.schema_arrow:
+                kinds[field.name] = NUMBER
+                if field.name in stamps:
+                    kinds[field.name] = STAMPS[0]
+                elif not holds_numbers(field.type):
+                    kinds[field.name] = TEXT
+        return Outline(f"Parquet, {len(files)} file{'s' * (len(files) > 1)}", kinds)
 
     @cached_property
     def content(self) -> str | None:
@@ -184,14 +200,28 @@ class ParquetSource(PartSource):
 
         held: list[pa.RecordBatch] = []
         rows, start = 0, first
+        if self.looks_back and first < stop:  # the row before is no sample of these, but a rate needs it
+            held += self._batches(max(first - 1, 0), first, size, self.plan.columns)
         for batch in self._batches(first, stop, size, self.plan.columns):
             while len(batch):
                 part = batch.slice(0, size - rows)
                 held.append(part)
                 rows, batch = rows + len(part), batch.slice(len(part))
                 if rows == size or start + rows == stop:
-                    yield start, self._chunk(start, pa.Table.from_batches(held))
+                    table = pa.Table.from_batches(held)
+                    before = len(table) - rows
+                    chunk = self._chunk(start - before, table)
+                    if before:
+                        chunk = chunk.cut(before, chunk.samples)
+                    yield start, chunk
                     held, rows, start = [], 0, start + rows
+                    if self.looks_back:
+                        held = [part.slice(len(part) - 1)]
+
+    @cached_property
+    def looks_back(self) -> bool:
+        """Whether a signal needs the sample before."""
+        return any(signal.looks_back for signal in self.plan.every)
 
     def _chunk(self, start: int, table: "pa.Table") -> Recording:
         """Return the samples of a table, which begins at sample `start`."""
@@ -210,7 +240,7 @@ class ParquetSource(PartSource):
             columns[name] = np.array(table.column(name).to_pylist(), object)
         try:
             since = time - self.begin
-            samples = self.plan.samples(columns, len(table), (since, stamps), self.dtype, start)
+            samples = self.plan.samples(columns, len(table), (since, stamps), self.dtype, start, self.dt)
         except ValueError as e:
             raise ValueError(f"{self.path}: {e}") from None
         return Recording.filed(self.model, samples, (time, stamps, written), self.path.name, self.dt)
@@ -356,6 +386,7 @@ def open_parquet(path: str | PathLike[str], model: SignalModel) -> ParquetSource
     import pyarrow as pa
 
     path = Path(path)
+    format_of(model).refuse_in("Parquet", "hold", "equal", "long")
     files = files_of(path)
     states = tuple(map(_state, files))
     counts, types, dated = _schemas(path, files, model)
@@ -364,6 +395,11 @@ def open_parquet(path: str | PathLike[str], model: SignalModel) -> ParquetSource
         how_many = "one row" if rows[-1] else "no row"
         raise ValueError(f"{path}: {how_many} of data: a recording has at least two")
     plan = plan_of(list(types), types, model, dated)
+    if not getattr(model, "regular", True) and looks_back(model):
+        raise ValueError(
+            f"{path}: {looks_back(model)!r} and means over intervals do not go together in Parquet: compute "
+            f"the rate beforehand, as a column"
+        )
     single = any(types.get(c) == pa.float32() for signal in plan.outputs for c in signal.read)
     dtype = np.dtype(np.float32 if single else np.float64)
     hints: tuple[str, ...] = ()

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from jaxbound.recordings.recordingformat import format_of
 from jaxbound.recordings.selection import STAMPS, Wanted, wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.timestamps import stamp_kind
@@ -184,9 +185,16 @@ def _refuse_no_numbers(column: str, kind: "pa.DataType") -> None:
             f"column {column!r} is in half precision: write it as float32 and state in `resolution` what "
             f"was rounded away"
         )
-    numeric = types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)
-    if not numeric and not types.is_boolean(kind) and not types.is_null(kind):
+    if not holds_numbers(kind):
         raise ValueError(f"column {column!r} holds {_in_words(kind)}: numbers are needed")
+
+
+def holds_numbers(kind: "pa.DataType") -> bool:
+    """Return whether a type is one of numbers, of yes and no, or of nothing."""
+    from pyarrow import types
+
+    numeric = types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)
+    return bool(numeric or types.is_boolean(kind) or types.is_null(kind))
 
 
 def _refuse_no_times(column: str, kind: "pa.DataType") -> None:
@@ -208,6 +216,7 @@ def plan_of(
     def kind_of_cells(name: str) -> str:
         return "stamp" if name != INDEX and name in dated else ""
 
+    format_of(model).refuse_in("Parquet", "hold", "equal", "time_unit", "zone")
     plan = wanted(names, model, kind_of_cells)
     if plan.time is None and INDEX in types and pa.types.is_temporal(types[INDEX]):
         return replace(plan, time=INDEX)

@@ -6,7 +6,8 @@ spans it. What has been taken is remembered in a few numbers and lines, so that 
 behind it, whether the sender begins again or not.
 """
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial, reduce
 from pathlib import Path
@@ -17,11 +18,13 @@ import numpy as np
 from jaxbound.recordings.columns import Arrow, to_arrow
 from jaxbound.recordings.counting import Counting, Numbers, numbers_of
 from jaxbound.recordings.csvlines import BOM, split_lines
-from jaxbound.recordings.csvtext import BLANK, UNENDED, is_number, sniff
-from jaxbound.recordings.linetext import Cells, LineReader, refuse_infinite
+from jaxbound.recordings.csvtext import BLANK, FURTHER, MISSING_CELLS, UNENDED, head_of, is_number, is_value
+from jaxbound.recordings.linetext import Cells, LineReader, of_one, reader_of, refuse_infinite
 from jaxbound.recordings.oddcells import thousands
-from jaxbound.recordings.recording import Recording, Times
+from jaxbound.recordings.recording import Recording, Samples, Times
+from jaxbound.recordings.recordingformat import RecordingFormat, format_of
 from jaxbound.recordings.seams import TOLERATED_STEP, check_period, rows_apart
+from jaxbound.recordings.selection import Moments
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, digests_of
 from jaxbound.recordings.thousands import Doubt
@@ -30,6 +33,8 @@ from jaxbound.recordings.timestamps import parse_stamps, since_epoch
 SOURCE = "standard input"
 LONGEST = 1 << 20  # bytes of a line
 SHOWN = 100  # samples whose steps say whether the sampling period is the model's
+TIME = "= time"
+"""The time of a row, which no column is called."""
 TOLD = 20  # seams of one piece that get a sentence
 Line = tuple[int, bytes]
 """A line with its number."""
@@ -58,11 +63,14 @@ class PipeText(Stream):
         taken: Taken | None = None,
     ) -> None:
         super().__init__(model, complain, taken)
+        format_of(model).refuse_in("a pipe", "hold", "equal", "long")
         self.tail = self.rest = b""  # half a line; half a line of a process before
         self.head: list[bytes] = []  # the header and the first row of data, perhaps a line with the delimiter
         self.reader: LineReader | None = None  # as soon as there is a row of data
         self.doubts: dict[str, Doubt] = {}  # of columns whose decimal signs may be signs for thousands
         self.begun: list[Line] = []  # lines before that
+        self.looked_at = 0  # of these, as rows of data
+        self.doubtful: ValueError | None = None  # why these are no header yet
         self.number = 0  # lines so far
         self.resumed = 0  # those before this process, as long as it is not clear how the stream goes on
         self.texts: list[str] = []  # the first and the last time, where it is written as text
@@ -75,6 +83,8 @@ class PipeText(Stream):
         self.returns = 0  # carriage returns at the end, which may be the first half of a line end
         self.replaying = False  # the lines that come are those that a process before had judged
         self.was_broken = False  # behind the last sample of that one
+        self.before: dict[str, np.ndarray] = {}  # the last row, where a signal looks back
+        self.digest = np.zeros(1, np.uint64)  # of the last row
         self.shown: list[float] | None = []
         if not self.regular:
             self.shown = None
@@ -155,6 +165,8 @@ class PipeText(Stream):
         if self.shown:
             check_period(np.array(self.shown), self.dt)
         if self.reader is None:
+            if self.doubtful is not None:
+                raise self.doubtful
             if self.begun:
                 raise ValueError(f"{SOURCE} ended before the first row of data")
             raise ValueError(f"{SOURCE} is empty")
@@ -236,45 +248,71 @@ class PipeText(Stream):
         while self.begun and not self.begun[0][1].removeprefix(BOM).strip():
             del self.begun[0]
         separator = bool(self.begun) and self.begun[0][1].removeprefix(BOM).startswith(b"sep=")
-        header = int(separator)
-        at = header + 1
+        at = self.looked_at or int(separator) + 1
         while at < len(self.begun):
             number, line = self.begun[at]
             if not line.strip():
                 at += 1
                 continue
-            head = [text for _, text in (*self.begun[: header + 1], self.begun[at])]
-            trouble = self._understand(head)
+            above = [one for one in self.begun[:at] if one[1].strip()]
+            trouble = self._understand([text for _, text in (*above, self.begun[at])])
             if trouble:
                 self._lose(f"line {number} {trouble}")
                 del self.begun[at]
                 continue
+            at += 1
+            if self.reader is None:
+                self.looked_at = at
+                continue
             reader = self._known_reader
+            for hint in reader.layout.hints:
+                self.complain("hint", f"{SOURCE}: {hint}")
             if reader.plan.time is None:
                 self.complain("hint", f"{SOURCE} has no time column: {rows_apart(self.dt)}")
-            rows, self.begun = self.begun[header + 1 :], []
+            header = above[reader.layout.header - 1][0]
+            if reader.layout.skip > reader.layout.header:  # units stand between
+                header = number - 1
+            rows, self.begun = [row for row in self.begun if row[0] > header], []
+            self.reader.layout = replace(reader.layout, skip=0)
             return [row for row in rows if row[0] >= number or not reader.layout.is_blank(row[1])]
         return []
 
     def _understand(self, head: list[bytes]) -> str:
-        """Find out how the stream is written by its `head`; return the trouble with the row of data in it, by
-        which that is not known, or "".
+        """Find out how the stream is written by its first lines, the last of which is the first row of data,
+        or perhaps none: then there is no reader yet. Return the trouble with that row, by which it is not
+        known, or "".
         """
+        how = format_of(self.model)
         try:
-            layout = replace(sniff(Path(SOURCE), b"\n".join(head) + b"\n"), skip=0)
-            reader = LineReader(layout, self.model)
+            begun = head_of(Path(SOURCE), b"\n".join(head) + b"\n", how.encoding)
+            reader = reader_of(begun._replace(lines=begun.lines[: len(head)]), self.model, how)
         except ValueError as e:
-            raise ValueError(f"{SOURCE}: {str(e).replace('the file', 'the stream')}") from None
-        row = head[-1]
+            self.doubtful = ValueError(f"{SOURCE}: {str(e).replace('the file', 'the stream')}")
+            if len(head) < FURTHER and self._may_be_above(head):
+                return ""
+            raise self.doubtful from None
+        layout, row = reader.layout, head[-1]
         if len(layout.cells(row)) != len(layout.names) or layout.is_open(row):
             return reader.trouble(row)
         if not self.regular and reader.plan.time is None:
             raise ValueError(f"{SOURCE} has no column of times: means over intervals need one")
+        cells = list(map(str.strip, layout.cells(row)))
+        if how.comment and layout.text(row).startswith(how.comment):
+            return ""
+        if len(head) < FURTHER and not any(c != "1" and is_value(c, layout.decimal, how) for c in cells):
+            if {*cells} - {"1", *MISSING_CELLS}:
+                return ""  # units, perhaps
         self.head, self.reader = head, reader
-        if layout.delimiter != ",":
+        if layout.delimiter != "," and not how.decimal and not how.thousands:
             numbers = {*reader.index} - {*reader.texts, reader.plan.time}
             self.doubts = {name: Doubt() for name in reader.index if name in numbers}
         return ""
+
+    def _may_be_above(self, head: list[bytes]) -> bool:
+        """Return whether the last of some lines may stand above the header: it is no row of numbers."""
+        above, last = (re.split(rb"[;,\t]", line) for line in head[-2:])
+        values = sum(is_value(cell.decode("latin-1"), ",") for cell in last)
+        return values < 2 or len(above) != len(last)
 
     def _joined(self, line: bytes) -> bytes | None:
         """Return the first line of a stream that goes on behind half a line: that line, or the whole one.
@@ -293,6 +331,11 @@ class PipeText(Stream):
         self.broken = True
         self._lose("line 1 may be the rest of one that was begun before")
         return None
+
+    @property
+    def _format(self) -> RecordingFormat:
+        """The format that is stated."""
+        return self._known_reader.layout.how
 
     @property
     def _known_reader(self) -> LineReader:
@@ -327,7 +370,7 @@ class PipeText(Stream):
         import pyarrow as pa
 
         if self._known_reader.is_text:
-            time, _, _ = parse_stamps(pa.array([*self.texts, cell]), self.dt, str)
+            time, _, _ = parse_stamps(pa.array([*self.texts, cell]), self.dt, str, self._format)
             return float(time[-1] - time[-2])
         assert self.numbers is not None, "there was a row of data"
         number = since_epoch(np.array([float(cell.replace(",", "."))]))
@@ -385,6 +428,13 @@ class PipeText(Stream):
                 yield from self._pieces(rows[half:])
                 return
             number, line = rows[0]
+            reason = self._known_reader.aside(line)
+            if number in self._format.skip:
+                reason = "are left out as stated"
+            if reason:
+                self.no_rows += 1
+                self.complain("line", f"line {number} {of_one(reason)}: left out")
+                return
             digest = digests_of([np.zeros(1)], [[line.decode("latin-1").strip()]])
             if self.replaying and self.taken.knows(digest).all():
                 self.skipped += 1
@@ -403,6 +453,9 @@ class PipeText(Stream):
         if plan.where is None:  # before they tell how the time is counted
             reader.refuse(cells, None, "".format)
         digests = self._digests(cells)
+        again = digests == np.append(self.digest, digests[:-1])
+        if plan.time is not None and again.any():
+            return self._once(rows, again)
         if cells.times is not None:
             times = self._text_times(cells.times)
         elif plan.time is not None:
@@ -414,7 +467,7 @@ class PipeText(Stream):
             columns.setdefault(plan.time, since if stamps is None else stamps)
         if self.numbers is not None and self.numbers.scale is None:
             since = since - self.numbers.origin
-        samples = plan.samples(columns, cells.rows, (since, stamps))
+        samples = self._samples_behind(columns, (since, stamps))
         if plan.where is not None:
             reader.refuse(cells, samples[2], "".format)
         self._refuse_doubt(cells, samples[2], rows)
@@ -424,7 +477,39 @@ class PipeText(Stream):
             if not rows:
                 return piece
         self.taken.add(digests)
+        self.digest = digests[-1:]
         return self._seamed(piece, rows)
+
+    def _once(self, rows: list[Line], again: np.ndarray) -> Recording:
+        """Return the samples of lines without those that say again what the line before says."""
+        left: list[Line] = []
+        for row, is_again in zip(rows, again.tolist(), strict=True):
+            if is_again:
+                self.no_rows += 1
+                self.complain("line", f"line {row[0]} repeats the line before: left out")
+            else:
+                left.append(row)
+        if left:
+            return self._samples(left)
+        return self.numbered(None)[1]
+
+    def _samples_behind(self, columns: Mapping[str, np.ndarray], moments: Moments) -> Samples:
+        """Return the samples of columns; a rate needs the row before them, too."""
+        plan, (since, stamps) = self._known_reader.plan, moments
+        count, behind = len(since), 0
+        if any(signal.looks_back for signal in plan.every):
+            before, last = self.before, {name: x[-1:] for name, x in columns.items()}
+            self.before = {TIME: since[-1:]} | last
+            if before and not self.broken:
+                behind = 1
+                since = np.append(before[TIME], since)
+                columns = {name: np.append(before[name], x) for name, x in columns.items()}
+                if stamps is not None:
+                    stamps = np.append(stamps[:1], stamps)
+        u, y, excluded = plan.samples(columns, count + behind, (since, stamps), dt=self.dt)
+        if excluded is not None:
+            excluded = excluded[behind:]
+        return u[behind:], y[behind:], excluded
 
     def _refuse_doubt(self, cells: Cells, excluded: np.ndarray | None, rows: list[Line]) -> None:
         """Refuse a number whose decimal sign may be a sign for thousands, behind whole ones."""
@@ -523,7 +608,7 @@ class PipeText(Stream):
         shown, dt = np.append(self.lone, values), None
         if self.regular:
             dt = self.dt
-        self.numbers, _ = numbers_of(shown, dt, str(self._known_reader.plan.time))
+        self.numbers, _ = numbers_of(shown, dt, self._known_reader.time_name)
         counting = self.numbers.counting
         self.unit_known = len(shown) > 1
         if self.unit_known and len(self.lone) and counting.zero:
@@ -548,7 +633,7 @@ class PipeText(Stream):
         period = None
         if self.regular:
             period = self.dt
-        time, stamps, hint = parse_stamps(every, period, lambda k: "")
+        time, stamps, hint = parse_stamps(every, period, lambda k: "", self._format)
         if not before:
             if hint and not self.hinted:
                 self.complain("hint", hint)

@@ -2,33 +2,38 @@
 
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxbound.recordings.clockintervals import every_text
 from jaxbound.recordings.csvfiles import CsvFile
+from jaxbound.recordings.expressions import is_expression
 from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.means import every_of, with_every
 from jaxbound.recordings.meansource import means_source
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import Formatted, RecordingFormat, Stated
 from jaxbound.recordings.seams import FEW, TOLERATED_DT, UNITS, varied_steps
-from jaxbound.recordings.signals import Named, Signals, signals_of
-from jaxbound.recordings.source import KINDS, Source
-from jaxbound.recordings.table import Data
+from jaxbound.recordings.signals import Named, SignalModel, Signals, signals_of
+from jaxbound.recordings.source import KINDS, Outline, Source
+from jaxbound.recordings.suspects import suspicions
+from jaxbound.recordings.table import Data, as_table, is_table
+from jaxbound.recordings.tabletime import kinds_of
 from jaxbound.text.progress import Progress, in_part, reporter
 
 Signal = str | tuple[str, str]
 """A name, or (name, column)."""
 
 
-def read(path: object, model: Named, progress: Progress | None = None) -> Recording:
+def read(path: object, model: Named, progress: Progress | None = None, recording: Stated = None) -> Recording:
     r"""Read the signals of a model from a CSV file, a Parquet file or a folder of Parquet files, which follow
     each other by name.
 
@@ -43,6 +48,8 @@ def read(path: object, model: Named, progress: Progress | None = None) -> Record
         model: whose signals are wanted: a LinearSystem, an IntervalSystem, relations, an observer or a
             monitor of one, or anything else with names of .inputs and .outputs.
         progress: called with the share of the work done.
+        recording: how the file is written, a `RecordingFormat` or a mapping with its fields, beside what the
+            model states of it.
 
     Returns:
         A Recording, which every verb takes in the place of u: detect(relations, read("run.csv", model)).
@@ -67,6 +74,8 @@ def read(path: object, model: Named, progress: Progress | None = None) -> Record
         array([0, 1, 3, 0, 1], dtype=int8)
     """
     report = reporter(progress, "read")
+    if recording is not None:
+        model = cast(SignalModel, Formatted(signals_of(model), recording))
     return open_source(path, model).read(progress=report)
 
 
@@ -110,6 +119,14 @@ class Arrays(Source):
     def takes(cls, data: object) -> bool:
         """Return whether data are no path."""
         return not isinstance(data, str | PathLike)
+
+    @classmethod
+    def outline(cls, data: object, how: RecordingFormat) -> Outline:
+        """Return the columns of a table."""
+        frame = as_table(data, "data")
+        if not is_table(frame):
+            raise ValueError("data are no table and no path: there are no columns to look at")
+        return Outline("a table", kinds_of(frame))
 
     def whole(self, progress: Progress | None = None) -> Recording:
         """Return the Recording."""
@@ -198,7 +215,17 @@ def read_signals(
     hints: tuple[str, ...] = ()
     if dt is None:
         hints = (f"dt = {period:g} s, the median step of the time",)
-    return [replace(r, dt=period, hints=(*hints, *r.hints)) for r in recordings]
+    return [replace(r, dt=period, hints=(*hints, *r.hints, *_no_levels(model, r))) for r in recordings]
+
+
+def _no_levels(model: SignalModel, r: Recording) -> Iterator[str]:
+    """Yield a sentence on each signal that is taken as a level from a column that is none."""
+    for names, samples in ((model.inputs, r.u), (model.outputs, r.y)):
+        for name, x in zip(names, samples.T, strict=False):  # factors stand behind the inputs
+            if is_expression(model.column(name)):
+                continue
+            for _, sentence in suspicions(name, model.column(name), np.asarray(x, float)):
+                yield sentence
 
 
 def _name_of(signal: Signal) -> str:

@@ -33,7 +33,9 @@ from jaxbound.recordings.means import (
     recorded_model,
     refuse_every,
 )
+from jaxbound.recordings.recordingformat import UNSTATED, RecordingFormat
 from jaxbound.recordings.seams import Clock, all_starts, around, aside, check_period, crossing, tick
+from jaxbound.recordings.selection import without_looks_of
 from jaxbound.recordings.signals import Named, SignalModel, signals_of
 from jaxbound.recordings.table import Data, as_table, is_table, paired
 from jaxbound.recordings.tabletime import row_time
@@ -78,7 +80,8 @@ class Recording:
             none.
         stamps: (T,) datetime64[ns] where a file or an index has dates, else None.
         written: the time as the file has it, a pyarrow array; None: there was no file, or no time in it.
-        hints: sentences that the user should read. source: name of the file.
+        hints: sentences that the user should read. source: name of the file. taken: how it was found to be
+            written, as far as another file of the plant may not show it.
     """
 
     u: np.ndarray
@@ -95,6 +98,7 @@ class Recording:
     written: pa.Array | None = None
     hints: tuple[str, ...] = ()
     source: str = ""
+    taken: RecordingFormat = UNSTATED
 
     @classmethod
     def of(
@@ -163,7 +167,7 @@ class Recording:
         indexes = [x.index for x in (y, u) if hasattr(x, "iloc")]
         tables = {name: x for name, x in (("y", y), ("u", u)) if is_table(x)}
         u, y = float_arrays(model, u, y, narrow, tables, excluded)
-        recording = cls(u, y, NOWHERE, known(model), tuple(model.outputs))._without(excluded)
+        recording = cls(u, y, NOWHERE, known(model), tuple(model.outputs))._without(model, excluded)
         if indexes:
             recording = recording._timed(model, indexes[0], regular)
         if hints:
@@ -173,11 +177,15 @@ class Recording:
         seams = _union(recording.starts, jumps, all_starts(starts, recording.samples))
         return replace(recording, starts=seams)
 
-    def _without(self, excluded: np.ndarray | None) -> Recording:
+    def _without(self, model: Named, excluded: np.ndarray | None) -> Recording:
         """Return the recording without the samples that the model's `where` leaves out."""
         if excluded is None:
             return self
-        u, y = (np.where(excluded[:, None], np.array(np.nan, x.dtype), x) for x in (self.u, self.y))
+        out = (without_looks_of(excluded, model, names) for names in (self.inputs, self.outputs))
+        u, y = (
+            np.where(gone, np.array(np.nan, x.dtype), x)
+            for gone, x in zip(out, (self.u, self.y), strict=True)
+        )
         return replace(self, u=u, y=y, excluded=excluded, starts=_union(self.starts, around(excluded)))
 
     def _timed(self, model: Named, index: pd.Index, regular: bool) -> Recording:

@@ -313,16 +313,31 @@ def varied_steps(time: np.ndarray) -> str:
         'its steps vary from 1 s to 2 s: means over intervals that hold the longest bring them to a grid,
         every = "2s" (--every 2s)'
     """
+    low, high = _varied(time)
+    every = varied_interval(time)
+    if not every:
+        return ""
+    means = "means over intervals that hold the longest bring them to a grid"
+    return f'its steps vary from {low:.3g} s to {high:.3g} s: {means}, every = "{every}" (--every {every})'
+
+
+def varied_interval(time: np.ndarray) -> str:
+    """Return the interval that serves where the steps of a time axis vary by more than jitter; else ""."""
+    low, high = _varied(time)
+    if not (1 + 2 * TOLERATED_STEP) * low < high < GAPS * low:
+        return ""
+    return next_interval(high)
+
+
+def _varied(time: np.ndarray) -> tuple[float, float]:
+    """Return the shortest and the longest usual step of a time axis, (N,) s; zeros where it does not go
+    on.
+    """
     steps = np.sort(np.diff(time[:MANY]))
     steps = steps[steps > 0]
     if not len(steps):
-        return ""
-    low, high = (float(steps[int(share * (len(steps) - 1))]) for share in (1 - USUAL, USUAL))
-    if not (1 + 2 * TOLERATED_STEP) * low < high < GAPS * low:
-        return ""
-    every = next_interval(high)
-    means = "means over intervals that hold the longest bring them to a grid"
-    return f'its steps vary from {low:.3g} s to {high:.3g} s: {means}, every = "{every}" (--every {every})'
+        return 0.0, 0.0
+    return float(steps[int((1 - USUAL) * (len(steps) - 1))]), float(steps[int(USUAL * (len(steps) - 1))])
 
 
 def varied_hints(clock: Clock, time: np.ndarray) -> list[str]:

@@ -18,6 +18,7 @@ from jaxbound.recordings.expressions import (
     likely,
 )
 from jaxbound.recordings.factors import by_name, factors_of, with_factors
+from jaxbound.recordings.recordingformat import format_of
 from jaxbound.recordings.signals import Named, SignalModel
 from jaxbound.text.names import listed
 
@@ -38,6 +39,7 @@ class Column:
 
     name: str
     texts = clock = frozenset[str]()
+    looks_back = False
 
     @property
     def read(self) -> tuple[str, ...]:
@@ -56,7 +58,8 @@ class Wanted:
     Fields: inputs, outputs: a Column or an Expression for each signal; where: the Expression of the
     condition, or None; time: the column of the time, or None; day: the column of the day where the time is
     only that of a day, or None; factors: an Expression for each factor of the model, over columns and inputs;
-    model: whose factors they are.
+    model: whose factors they are; missing: numbers that stand for missing samples; alike: columns that are
+    called like the time but for capitals and blanks, where the model does not say which it is.
     """
 
     inputs: tuple[Column | Expression, ...]
@@ -66,6 +69,16 @@ class Wanted:
     day: str | None = None
     factors: tuple[Expression, ...] = ()
     model: Named | None = None
+    missing: tuple[float, ...] = ()
+    alike: tuple[str, ...] = ()
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        """A sentence where another column is called like that of the time, which is known by its name."""
+        if not self.alike:
+            return ()
+        others = listed(self.alike)
+        return (f"the time is column {self.time!r}, not {others}, called alike: say which, {TELLING}",)
 
     @property
     def every(self) -> tuple[Column | Expression, ...]:
@@ -122,6 +135,7 @@ class Wanted:
         moments: Moments,
         dtype: DTypeLike = np.float64,
         first: int = 0,
+        dt: float | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Return (u, y, excluded): (N, m) and (N, p), NaN where a sample is missing or left out; (N,) bool,
         left out by `where`, or None.
@@ -129,18 +143,25 @@ class Wanted:
         Args:
             columns: {name: (N,) floats, or what `Expression.values` takes}. count: N. moments: (s since the
                 first sample of the recording, dates or None). dtype: of y; u is as wide as its widest column.
-            first: number of the first sample, for sentences.
+            first: number of the first sample, for sentences. dt: sampling period in s; None: the model's, or
+                as the times show it.
 
         Raises:
             ValueError: see `Expression.values` and `derived`; a factor that is none.
         """
         since, stamps = moments
-        columns = {**columns, **derived(self.clock, count, since, stamps)}
+        if self.model is not None:
+            dt = dt or period(self.model, since)
+        columns = {**columns, **derived(self.clock, count, since, stamps, dt)}
+        for name in self.numbers if self.missing else ():
+            if name in columns and name != self.time:
+                columns[name] = np.where(np.isin(columns[name], self.missing), np.nan, columns[name])
         u, y = _stack(self.inputs, columns, count, None), _stack(self.outputs, columns, count, dtype)
         excluded = None
         if self.where is not None:
             excluded = fails(self.where.values(columns))
-            u[excluded], y[excluded] = np.nan, np.nan
+            for x, signals in ((u, self.inputs), (y, self.outputs)):
+                x[without_looks(excluded, signals)] = np.nan
         if self.factors and self.model is not None:
             values, every = [], {**columns, **by_name(self.model, u)}
             for e in self.factors:
@@ -172,13 +193,57 @@ def wanted(names: Sequence[str], model: SignalModel, dated: Callable[[str], str]
     factors = []
     for factor in factors_of(model):
         factors.append(factor.expression.among(dict.fromkeys((*model.inputs, *names))))
-    signals = Wanted(inputs, outputs, None, None, factors=tuple(factors), model=model)
+    missing = format_of(model).numbers
+    signals = Wanted(inputs, outputs, None, None, factors=tuple(factors), model=model, missing=missing)
     taken = signals.signals
     free = [name for name in names if name not in taken]
     day, time = time_column(names, free, model.columns.get("time"), dated, getattr(model, "dt", None))
+    if time is not None and "time" not in model.columns:
+        twins = [c for c in free if c != time and c.strip().lower() == time.strip().lower()]
+        signals = replace(signals, alike=tuple(twins))
     if "where" not in model.columns:
         return replace(signals, time=time, day=day)
     return replace(signals, where=expression(model.columns["where"]).among(names), time=time, day=day)
+
+
+def without_looks(excluded: np.ndarray, signals: Sequence[Column | Expression]) -> np.ndarray:
+    """Return (N, n) bool: samples of signals that are left out, and those that look back at one. excluded:
+    (N,) bool, left out by `where`.
+    """
+    behind = excluded | np.append(False, excluded[:-1])
+    either = np.stack([excluded, behind])
+    back = [int(signal.looks_back) for signal in signals]
+    gone: np.ndarray = either[back].T
+    return gone
+
+
+def without_looks_of(excluded: np.ndarray, model: Named, names: Sequence[str]) -> np.ndarray:
+    """Return `without_looks` of signals of a model by their names, and of its factors."""
+    stated = getattr(model, "column", str)
+    signals: list[Column | Expression] = []
+    for column in map(stated, names):
+        signal: Column | Expression = Column(column)
+        if is_expression(column):
+            signal = expression(column)
+        signals.append(signal)
+    return without_looks(excluded, signals)
+
+
+def period(model: Named, since: np.ndarray | None) -> float | None:
+    """Return the sampling period in s of a model, or that of times, (N,) s; None where there need not be
+    one.
+    """
+    if since is None or not getattr(model, "regular", True):
+        return None
+    steps = np.diff(since)
+    if getattr(model, "dt", None) or not (steps > 0).any():
+        return getattr(model, "dt", None)
+    return float(np.median(steps[steps > 0]))
+
+
+def looks_back(model: Named) -> str:
+    """Return the first expression that needs the sample before; "" if none does."""
+    return next((e.text for e in expressions_of(model) if e.looks_back), "")
 
 
 def _stack(

@@ -4,11 +4,12 @@ A kind whose recordings fit into memory says which data are its own (`takes`) an
 (`whole`); the rest is here.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,15 +17,29 @@ from jaxbound.recordings.contents import Digests, content
 from jaxbound.recordings.hints import missing_hints, rounding_hints
 from jaxbound.recordings.means import Unfinished
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import RecordingFormat
 from jaxbound.recordings.seams import Clock, around, irregular, seam_hints, tick, varied_hints
 from jaxbound.recordings.selection import Wanted, where_hints
 from jaxbound.recordings.signals import Named, SignalModel
 from jaxbound.recordings.stillness import still_hints
 from jaxbound.text.progress import Progress, reporter
 
-__all__ = ["KINDS", "PROBE", "PartSource", "Progress", "Source", "register", "with_hints"]
+__all__ = [
+    "KINDS",
+    "NUMBER",
+    "Outline",
+    "PROBE",
+    "TEXT",
+    "PartSource",
+    "Progress",
+    "Source",
+    "register",
+    "with_hints",
+]
 
 PROBE = 100_000  # samples that show the sampling period, the unit of time and the rounding of the recorder
+NUMBER, TEXT, WORDS = "number", "text", "words"
+"""Kinds of columns that are no times: of words nobody knows whether they stand for numbers, like ON."""
 KINDS: list[type["Source"]] = []  # of users; the last that takes the data opens them
 
 
@@ -60,6 +75,18 @@ def register(kind: type["Source"]) -> type["Source"]:
     return kind
 
 
+class Outline(NamedTuple):
+    """How data are written, before they are read.
+
+    Fields: how: in words. kinds: {column: `NUMBER`, `TEXT`, `WORDS`, or the kind of a time, see
+    `stamp_kind`}. taken: fields of a RecordingFormat that say so.
+    """
+
+    how: str
+    kinds: Mapping[str, str]
+    taken: Mapping[str, Any] = {}
+
+
 class Source:
     """One recording and how it is read. Made by `open`, which is asked of the kind that `takes` the data.
 
@@ -91,6 +118,15 @@ class Source:
     def open(cls, data: object, model: SignalModel) -> "Source":
         """Return the source of these data."""
         return cls(data, model)
+
+    @classmethod
+    def outline(cls, data: object, how: RecordingFormat) -> Outline:
+        """Return how these data are written. how: what is stated of that.
+
+        Raises:
+            ValueError: a kind whose columns are not known before it is read.
+        """
+        raise ValueError(f"{data} can be read once only: save it in a file to look at it")
 
     @classmethod
     def digest(cls, data: object) -> str | None:

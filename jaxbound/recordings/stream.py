@@ -78,7 +78,8 @@ class Stream:
 
     Fields: raw: where they come from, an iterator, or the number of an open file; dt: sampling period in s;
     regular: whether samples have to be dt apart; else no step is a seam; clock: of all samples so far; lost:
-    samples, or lines, that could not be read; skipped: those that an earlier process had judged; replaying:
+    samples, or lines, that could not be read; no_rows: lines that
+    hold no sample; skipped: those that an earlier process had judged; replaying:
     whether the sender has begun again, and all that it sends was taken before. units: the word for them.
     """
 
@@ -93,7 +94,7 @@ class Stream:
         self.dt = model.dt or 1.0
         self.regular: bool = getattr(model, "regular", True)
         self.clock = Clock(self.dt)
-        self.lost = 0
+        self.lost = self.no_rows = 0
         self.aside = False  # whether `where` leaves the last sample out
 
     def pieces(self, arrivals: Iterable[Any]) -> Iterator[tuple[int, Recording]]:
@@ -214,6 +215,7 @@ class Stream:
             "time": self.clock.last,
             "seams": [asdict(seam) for seam in self.clock.seams],
             "lost": self.lost,
+            "no_rows": self.no_rows,
             "aside": self.aside,
         }
 
@@ -222,3 +224,4 @@ class Stream:
         seams = tuple(Seam(**seam) for seam in memory["seams"])
         self.clock = Clock(self.dt, memory["samples"], memory["time"], seams)
         self.lost, self.aside = memory["lost"], memory.get("aside", False)
+        self.no_rows = memory.get("no_rows", 0)

@@ -233,6 +233,17 @@ def _labels_of_rows(frame: "pd.DataFrame", name: str) -> "pd.Index":
     return pd.Index(frame.iloc[:, list(frame.columns).index(name)])
 
 
+def kinds_of(frame: "pd.DataFrame") -> dict[str, str]:
+    """Return {column: the kind of its cells} of a table, see `source.Outline`; an index of times is none."""
+    kinds: dict[str, str] = {}
+    for name in frame.columns:
+        labels = _labels_of_rows(frame, name)
+        kinds[name] = _kind_of_labels(labels) or "number"
+        if kinds[name] == "number" and isinstance(_first_label(labels), str):
+            kinds[name] = "text"
+    return kinds
+
+
 def _first_label(labels: "pd.Index") -> object:
     """Return the first label that there is, or None."""
     first = labels[:1]

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow
+from jaxbound.recordings.recordingformat import UNSTATED, RecordingFormat
 from jaxbound.recordings.seams import TOLERATED_STEP
+from jaxbound.recordings.tidystamps import Tidied, elapsed, localized, tidied, zoned
 from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ DATES = (
     "%m-%d-%Y",
     "%d-%b-%Y",
     "%d %b %Y",
+    "%d %b %y",
     "%b %d %Y",
     "%m/%d/%y",
     "%d/%m/%y",
@@ -37,8 +40,10 @@ DATES = (
 )
 CLOCKS = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p", "%H%M%S")
 FORMATS = [f"{date}{gap}{clock}" for date in DATES for gap in (" ", "T") for clock in CLOCKS]
+OF_A_DAY = "%[dDjuwcxs]|%-d"  # a format with one of these has a date
 MINUTES = "%M:%S"  # as Excel writes a time that it shows as 08:30.0
 FORMATS += [*DATES[:-1], *CLOCKS[:4], MINUTES]
+STATING = " (--recording, or [recording] of the model file)"
 LONGEST = 64  # letters of a time stamp
 DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
 COMPACT = {14: "%Y%m%d%H%M%S", 12: "%Y%m%d%H%M"}  # by their digits
@@ -46,42 +51,56 @@ YEARS = 1678, 2261  # that a count of ns since 1970 holds
 FAR = f"only the years {YEARS[0]} to {YEARS[1]} can be told"
 CENTURIES = 1970, 2200  # years that a number of so many digits may begin with
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
+STAMPS = np.dtype("datetime64[ns]")
 EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 """The instant that times count from, and what a difference of stamps is divided by."""
 
 
 def parse_stamps(
-    cells: "pa.Array", dt: float | None, where: Callable[[int], str]
+    cells: "pa.Array", dt: float | None, where: Callable[[int], str], how: RecordingFormat = UNSTATED
 ) -> tuple[np.ndarray, np.ndarray | None, str]:
     """Return (time, stamps, hint) of text cells.
 
     Args:
         cells: pyarrow array of strings without nulls. dt: of the model; decides between day/month and
             month/day; None: the median step.
-        where: called with an index, returns "row 7" of the file.
+        where: called with an index, returns "row 7" of the file. how: states their format, or their zone.
 
     Returns:
-        time: seconds since the first sample; stamps: datetime64[ns], None for a clock without a date; hint: a
-            sentence or "".
+        time: seconds since the first sample; stamps: datetime64[ns], in UTC where a zone is known, None for a
+            clock without a date; hint: a sentence or "".
 
     Raises:
         ValueError: no known format, or a cell that does not follow that of the first.
     """
-    iso = iso_stamps(cells, where)
-    if iso is not None:
-        return _since_first(iso), iso, ""
-    read = _in_formats(cells, where)
+    if how.time_format in ("", *DATES):
+        iso = iso_stamps(cells, where)
+        if iso is not None and iso.dtype != STAMPS:
+            return _since_first(iso), None, f"{FAR}: times count from the first row"
+        if iso is not None:
+            if how.zone and not _has_zone(cells):
+                iso = _in_zone(iso, how.zone, where)
+            return _since_first(iso), iso, ""
+        spans = elapsed(cells)
+        if spans is not None:
+            return _since_first(spans), None, f"times like {cells[0].as_py()!r} are read as elapsed"
+    read = _readings(cells, where, how)
     seams = [uneven_steps(_since_first(stamps), dt) for _, stamps in read]
     # 3/4/2017 is a day in March or in April: time runs evenly in one of the two orders only
     smoothest = [one for one, count in zip(read, seams, strict=True) if count == min(seams)]
     form, stamps = smoothest[0]
     like = f"time stamps like {cells[0].as_py()!r}"
+    if dt is None and form == "%H:%M" and smoothest[-1][0] == MINUTES and len(cells) > 1:
+        ways = "hours and minutes, or minutes and seconds"
+        raise ValueError(
+            f"{like} may be {ways}: say which, by time_format = {form!r} or {MINUTES!r}{STATING}"
+        )
     if form == MINUTES:
         hint = f"{like} are read as minutes and seconds: a gap of whole hours cannot be seen"
         return _since_first(stamps) + _rounds(stamps, 3600.0), None, hint
-    if "%d" not in form:
+    if not re.search(OF_A_DAY, form):
         hint = f"{like} have no day: a gap of whole days cannot be seen"
-        if smoothest[-1][0] == MINUTES:
+        if smoothest[-1][0] == MINUTES and not how.time_format:
             hint = f"{hint}; they are read as hours and minutes: write 0:08:30 for minutes and seconds"
         return _since_first(stamps) + _rounds(stamps, 86400.0), None, hint
     hint = ""
@@ -91,15 +110,75 @@ def parse_stamps(
     return _since_first(stamps), stamps, hint
 
 
-def _in_formats(cells: "pa.Array", where: Callable[[int], str]) -> list[tuple[str, np.ndarray]]:
-    """Return (format, stamps) of each known format that all cells have; refuse cells without any."""
-    whole, fraction = _split_fraction(cells)
-    first = whole[0].as_py()
+def _readings(
+    cells: "pa.Array", where: Callable[[int], str], how: RecordingFormat
+) -> list[tuple[str, np.ndarray]]:
+    """Return (format, stamps) of each format that all cells have; refuse cells without any."""
+    zones, date = None, how.time_format
+    if date not in ("", *DATES):
+        read = [(how.time_format, _as_stated(cells, how.time_format, where))]
+    else:
+        try:
+            read = _in_formats(cells, _split_fraction(cells), where, date)
+        except ValueError as refused:
+            tidy = tidied(cells)
+            zones = tidy.zones
+            try:
+                read = _in_formats(cells, tidy, where, date)
+            except ValueError:
+                raise refused from None
+    try:
+        if zones is not None:
+            read = [(form, zoned(stamps, zones)) for form, stamps in read]
+    except ValueError as e:
+        raise ValueError(f"of time stamps like {cells[0].as_py()!r} {e}") from None
+    if how.zone and (zones is None or zones[0].as_py() == "") and not re.search("%[zZs]", read[0][0]):
+        read = [(form, _in_zone(stamps, how.zone, where)) for form, stamps in read]
+    return read
+
+
+def _as_stated(cells: "pa.Array", form: str, where: Callable[[int], str]) -> np.ndarray:
+    """Return the stamps of texts in a format that is stated."""
+    import pandas as pd
+
+    texts = cells.to_pylist()
+    try:
+        stamps = pd.to_datetime(texts, format=form, utc="%z" in form, errors="coerce")
+    except ValueError as e:
+        raise ValueError(f"time_format {form!r}: {e}") from None
+    if stamps.hasnans:
+        bad = int(np.argmax(stamps.isna()))
+        raise ValueError(f"{where(bad)} of the time column is {texts[bad]!r}: not like time_format {form!r}")
+    return in_ns(stamps.to_numpy(), where)
+
+
+def _in_zone(stamps: np.ndarray, zone: str, where: Callable[[int], str]) -> np.ndarray:
+    """Return times of the clock of a zone in UTC."""
+    try:
+        return localized(stamps, zone)
+    except ValueError as e:
+        raise ValueError(f"the time column: {e}") from None
+
+
+def _has_zone(cells: "pa.Array") -> bool:
+    """Return whether time stamps in ISO 8601 name their zone."""
+    return re.search(r":\d\d(\.\d+)?([Zz]|[+-]\d\d(:?\d\d)?)$", cells[0].as_py().strip()) is not None
+
+
+def _in_formats(
+    cells: "pa.Array", tidy: Tidied, where: Callable[[int], str], date: str
+) -> list[tuple[str, np.ndarray]]:
+    """Return (format, stamps) of each known format that all cells have; refuse cells without any.
+
+    Args:
+        cells: as they stand in the recording. tidy: what is read of them. date: that formats begin with.
+    """
+    first = tidy.texts[0].as_py()
     read = []
     for form in FORMATS:
         # a fraction is one of a second: none of 08:30.5 is an hour
-        if _has_format(first, form) and (fraction is None or "%S" in form):
-            read.append((form, _stamps_in(whole, fraction, form, where)))
+        if form.startswith(date) and _has_format(first, form) and (not tidy.fine or "%S" in form):
+            read.append((form, _stamps_in(tidy.texts, tidy.more, form, where)))
     if not read:
         raise ValueError(
             f"{where(0)} of the time column is {cells[0].as_py()!r}: neither seconds nor a known time stamp "
@@ -113,6 +192,31 @@ def _in_formats(cells: "pa.Array", where: Callable[[int], str]) -> list[tuple[st
             f"{where(bad)} of the time column is {odd!r}: not a time stamp like the first, {usual!r}"
         )
     return complete
+
+
+def order_of(cells: "pa.Array", stamps: np.ndarray) -> str:
+    """Return the format of the dates of texts in which day and month could change places, "" of others.
+
+    Args:
+        cells: (N,) texts. stamps: (N,) as they were read.
+    """
+    dates = []
+    for form in FORMATS:
+        date = form.split("T%")[0].split(" %H")[0].split(" %I")[0]
+        swapped = date.replace("%d", "%_").replace("%m", "%d").replace("%_", "%m")
+        if date == swapped or swapped not in DATES:
+            continue
+        if _is_read_as(cells[0], form, stamps[0]) and _is_read_as(cells[-1], form, stamps[-1]):
+            dates.append(date)
+    if len(dates) != 1:
+        return ""
+    return dates[0]
+
+
+def _is_read_as(cell: "pa.Scalar", form: str, stamp: np.datetime64) -> bool:
+    """Return whether a text has a format, and is this time by it."""
+    text = cell.as_py().strip()
+    return _has_format(text, form) and bool(np.datetime64(datetime.strptime(text, form)) == stamp)
 
 
 def instant_of(time: object) -> float:
@@ -151,12 +255,12 @@ def instant_of(time: object) -> float:
     return round(float((stamps[0] - EPOCH) / SECOND), 6)
 
 
-def stamp_kind(cell: str | None) -> str:
+def stamp_kind(cell: str | None, form: str = "") -> str:
     """Return the kind of a cell: "stamp" for a time stamp of any format, "day" or "clock" for half of one,
     "" for none.
 
     Eight digits may be a day beside a clock, but also a number: "digits". That it is no other number is
-    known.
+    known. form: of time stamps, where it is stated.
 
     Example:
         >>> cells = "2017-09-12 08:00", "20170912T080000", "12.09.2017", "20170912", "8:00 PM", "shift 2"
@@ -167,6 +271,8 @@ def stamp_kind(cell: str | None) -> str:
 
     if not cell or not any(c.isdigit() for c in cell) or len(cell) > LONGEST:
         return ""
+    if form not in DATES and _has_format(cell.strip(), form):
+        return "stamp"
     if DIGITS.fullmatch(cell.strip()):
         if _has_format(cell.strip(), DATES[-1]):
             return "digits"
@@ -175,10 +281,11 @@ def stamp_kind(cell: str | None) -> str:
         parse_stamps(pa.array([cell]), None, str)
     except ValueError:
         return ""
-    whole = _split_fraction(pa.array([cell]))[0][0].as_py()
-    if any(_has_format(whole, form) for form in DATES):
+    cells = pa.array([cell])
+    wholes = {x.texts[0].as_py() for x in (_split_fraction(cells), tidied(cells))}
+    if any(_has_format(whole, form) for whole in wholes for form in DATES):
         return "day"
-    if any(_has_format(whole, form) for form in (*CLOCKS, MINUTES)):
+    if any(_has_format(whole, form) for whole in wholes for form in (*CLOCKS, MINUTES)):
         return "clock"
     return "stamp"
 
@@ -269,23 +376,24 @@ def time_like(label: object) -> bool:
     return isinstance(label, str) and re.search(r"\d[-/.:]\d+[-/.: T]", label + " ") is not None
 
 
-def _split_fraction(cells: "pa.Array") -> tuple["pa.Array", np.ndarray | None]:
+def _split_fraction(cells: "pa.Array") -> Tidied:
     """Split "12:00:01.25" into "12:00:01" and 0.25 s, if the first cell has a fraction of a second."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
     cells = pc.utf8_trim_whitespace(cells)
     if not pc.match_substring_regex(cells[:1], r":\d\d[.,]\d+$")[0].as_py():
-        return cells, None
+        return Tidied(cells)
     parts = pc.extract_regex(cells, r"^(?P<whole>.*?:\d\d)[.,]?(?P<fraction>\d*)$")
     digits = pc.struct_field(parts, "fraction")
     seconds = pc.binary_join_element_wise("0.", pc.coalesce(digits, "0"), "0", "").cast(pa.float64())
     fraction = (from_arrow(seconds) * 1e9).round().astype("timedelta64[ns]")
-    return pc.coalesce(pc.struct_field(parts, "whole"), ""), fraction
+    return Tidied(pc.coalesce(pc.struct_field(parts, "whole"), ""), fraction, fine=True)
 
 
 def iso_stamps(cells: "pa.Array", where: Callable[[int], str]) -> np.ndarray | None:
-    """Return datetime64[ns] of texts in ISO 8601, with or without a zone; None where some are not.
+    """Return datetime64[ns] of texts in ISO 8601, with or without a zone; None where some are not; of two
+    rows or more whose years all are too far for it, datetime64[us].
 
     Args, raises: as `in_ns`.
     """
@@ -297,6 +405,8 @@ def iso_stamps(cells: "pa.Array", where: Callable[[int], str]) -> np.ndarray | N
                 stamps = from_arrow(cells.cast(pa.timestamp(unit, zone)))
             except pa.ArrowInvalid:
                 continue
+            if len(stamps) > 1 and _far(stamps).all():
+                return stamps
             return in_ns(stamps, where)
     return None
 
@@ -310,12 +420,17 @@ def in_ns(stamps: np.ndarray, where: Callable[[int], str]) -> np.ndarray:
     Raises:
         ValueError: a year that does not fit: NumPy would take another for it.
     """
-    years = stamps.astype("datetime64[Y]").astype(np.int64) + 1970
-    far = ~np.isnat(stamps) & ((years < YEARS[0]) | (years > YEARS[1]))
+    far = _far(stamps)
     if far.any():
         k = int(np.argmax(far))
         raise ValueError(f"{where(k)} has the time {stamps[k]}: {FAR}")
     return stamps.astype("datetime64[ns]")
+
+
+def _far(stamps: np.ndarray) -> np.ndarray:
+    """Return (N,) bool: whether ns since 1970 cannot tell the year of datetime64 of any unit."""
+    years = stamps.astype("datetime64[Y]").astype(np.int64) + 1970
+    return np.asarray(~np.isnat(stamps) & ((years < YEARS[0]) | (years > YEARS[1])))
 
 
 def _has_format(text: str, form: str) -> bool:

@@ -90,6 +90,7 @@ def annihilator(
     report, done = reporter(progress, "relations"), 0.0
     for order in range(highest + 1):
         betas = monomials(len(variables), order)
+        # order 0 is looked at whatever it costs: relations with constant numbers are the best
         if len(betas) * E.rows > LARGEST and order:
             return _matrix(relations, E), tuple(steps), "partial"
         part = work[order] / sum(work)
@@ -98,12 +99,14 @@ def annihilator(
         steps.append(step)
         for g in fresh:
             relations.append((order, _in_all_variables(g, variables, E.variables), g))
+        # floats first: whether these few span everywhere is proved only of those that seem to
         if fresh and len(relations) >= target and _spans(_matrix(relations, E), points, target)[0]:
             chosen = _matrix(_fewest(relations, E, points, target), E)
             proof, where = rank_over_box(chosen, target)
             if proof != "drops" or where is None:
                 complete = "proved" if proof == "proved" else "sampled"
                 return chosen, tuple(steps), complete
+            # the point where the rank drops joins those that a choice has to pass: the search goes on
             points.append(where)
     return _matrix(relations, E), tuple(steps), "partial"
 
@@ -147,6 +150,7 @@ def constraints(E: PolynomialMatrix, order: int) -> tuple[list[dict[int, int]], 
 
     Source: Ploix, Adrot 2006, (9)-(10).
     """
+    # one scale for all: equations in whole numbers, which are reduced without fractions
     scale = lcm(*(x.denominator for entries in E.terms.values() for x in entries.values()))
     whole = [(a, [(k, int(x * scale)) for k, x in entries.items()]) for a, entries in E.terms.items()]
     equations: dict[tuple[Exponents, int], dict[int, int]] = {}
@@ -173,6 +177,7 @@ def _one_order(
     multiples = []
     for low, _, g in kept:
         for beta in betas:
+            # monomials come by their order: all that follow are too high
             if sum(beta) > order - low:
                 break
             multiple = {}
@@ -244,6 +249,7 @@ def _spans(P: PolynomialMatrix, points: Points, target: int) -> tuple[bool, floa
     singular = np.linalg.svd(at, compute_uv=False)
     largest, deciding = singular[:, 0], singular[:, target - 1]
     smallest = deciding.min()
+    # what floats doubt is asked in fractions
     for v, plain in zip(points, deciding > 1e-7 * largest, strict=True):
         if not plain and linalg.rank(P.at(v)) < target:
             return False, smallest
@@ -255,6 +261,7 @@ def generic_rank(E: PolynomialMatrix) -> int:
     if not E.columns or not E.rows:
         return 0
     draw = random.Random(7)
+    # a random point misses the largest rank only on a set without volume; two make sure
     return max(linalg.rank(E.at(_random_point(draw, E.variables))) for _ in range(2))
 
 
@@ -313,13 +320,16 @@ def rank_over_box(P: PolynomialMatrix, rank: int) -> tuple[str, tuple[Fraction, 
             here, size = np.einsum("ka,aij->kij", T, values), np.einsum("ka,aij->kij", abs(T), size)
         left, singular, right = np.linalg.svd(here[0], full_matrices=False)
         exactly = tuple(map(Fraction, centre.tolist()))
+        # L would divide by it: the centre itself is asked, exactly
         if singular[rank - 1] <= 1e-9 * singular[0]:
             drops = linalg.rank(P.at(exactly)) < rank
             return "drops" if drops else "open", exactly
         L, R = left.T[:rank] / singular[:rank, None], right[:rank].T
         N = L @ here @ R
+        # what is left of the identity at the centre is rounding, and counts in the bound
         N[0] -= np.eye(rank)
         bound = abs(N) + gamma * (abs(L) @ size @ abs(R) + 1)
+        # |w| <= 1: each row of N adds up to less than 1, so I + N is regular all over the box
         if bound.sum((0, 2)).max() < 1 - gamma:
             continue
         # the box is cut where its variable moves N most

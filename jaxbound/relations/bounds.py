@@ -47,6 +47,7 @@ def model_bounds(model: LinearSystem) -> Bounds:
     sums = model.averages
     if sums:
         bounds["average"] = rounding.round_up([bounded.bound for bounded in sums])
+    # one array for all who ask: nobody may write into it
     for bound in bounds.values():
         bound.setflags(write=False)
     return {**bounds}
@@ -68,6 +69,7 @@ def checked_bound(model: LinearSystem, name: str, value: ArrayLike) -> Array:
     if shape not in allowed:
         raise ValueError(f"{name} needs one number or one per {kind} ({len(names)}): its shape is {shape}")
     if isinstance(value, jax.core.Tracer):
+        # jax.grad differentiates in bounds: there is no number to check
         return _traced(cast("jax.Array", value), len(names), paired)  # a Tracer stands for an Array
     given = np.array(value, np.float64)
     if len(shape) == 2:

@@ -30,6 +30,7 @@ def relation_cost(model: LinearSystem, horizon: int) -> tuple[float, float]:
     """Return (seconds, bytes) that `parity_relations` takes."""
     s = min(horizon, LONGEST)
     if model.uncertainties:
+        # measured: monomials alone decide, whatever the sizes of the matrices
         terms = _terms(model, s)
         return 4e-3 * terms, 1e3 * terms
     rows = (s + 1) * model.p + model.g * s
@@ -54,6 +55,7 @@ def affordable(model: LinearSystem, horizon: int) -> None:
     if fits(horizon):
         return
     low, high = 0, min(horizon, LONGEST)
+    # costs rise with the horizon: the longest one that fits is told in the refusal
     while high - low > 1:
         middle = (low + high) // 2
         if fits(middle):
@@ -109,6 +111,7 @@ def _terms(model: LinearSystem, s: int) -> float:
         return sum(u.varying is varying and u.on(letter) is not None for u in model.uncertainties)
 
     per_sample, constant = acting("A", True), acting("A", False) + acting("C", False)
+    # each varying parameter of A acts anew at every sample; floats end at 10^308, hence 900
     grown: float = (1.0 + per_sample) ** min(s, 900 / (1 + per_sample))
     of_constant = comb(min(s, 10**4) + constant, constant)
     return grown * of_constant * (1 + acting("C", True)) + (s + 1) * len(model.uncertainties)

@@ -27,6 +27,7 @@ def identity(relations: Relations, **also: object) -> dict[str, str]:
         "version of jaxbound": __version__,
         "model": fingerprint(relations.model, relations.bounds, relations.made),
         "horizon": str(relations.horizon),
+        # verdicts of the two types differ: one does not go on with what the other kept
         "precision": "float64" if has_x64() else "float32",
         **{what: _plain(x) for what, x in also.items()},
     }

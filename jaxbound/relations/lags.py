@@ -35,6 +35,7 @@ def lagged(model: LinearSystem, horizon: int, lags: Sequence[int]) -> tuple[Matr
     only.
     """
     rows = window.window_rows(model, horizon, tuple(lags))
+    # disturbances act at every step, and are joined to the relations behind this
     seen = [i for i in rows.seen if i < rows.readings]
     free, H = window.unbounded(model, horizon), window.first_form(model, horizon)[1]
     shortest = linalg.minimal_span(linalg.left_null_space([free[i] for i in seen]))

@@ -177,11 +177,13 @@ class ParityRelation(Formed, LinearRelations):
             ValueError: a method or budget that these relations cannot be tested by.
         """
         refuse_options(method, budget)
+        # a disturbance without a width would be divided by: windows are those of a model without it
         if self._moving is not None:
             return self._moving.test(method, dtype, budget)
         if self.model.averages and method != "joint":
             raise ValueError(f"averages are tested by method 'joint': {method!r} looks at single samples")
         if self.model.constant_tolerance:
+            # a gain that stays ties all samples together: no circuit is tested by itself
             return GainsTest(self._framed, method, dtype)
         if method == "joint" and self.frame is not None:
             return ExchangeTest(self, dtype)
@@ -233,7 +235,7 @@ def _forms(reading: Reading, u: jax.Array, y: jax.Array) -> Forms:
         def total(weights: jax.Array, x: jax.Array) -> jax.Array:
             return jnp.sum(weights[:, None] * x[rows], 0)
 
-        driven = jnp.sum(jnp.where(k[:, None] == 0, 0, k[:, None] * known), 0)
+        driven = jnp.sum(jnp.where(k[:, None] == 0, 0, k[:, None] * known), 0)  # 0 * NaN is NaN
         return total(h, samples) - driven, total(h, samples - mid), total(abs(h), rad)
 
     strips = reading.strips
@@ -283,6 +285,7 @@ def parity_relations(
     model, report = as_model(model, factors=True), reporter(progress, "relations")
     if form not in ("first", "second"):
         raise ValueError(f"form must be 'first' or 'second', not {form!r}")
+    # bounds that were found from data hold for the windows that they were found for
     if lags is None and horizon is None:
         lags = model.lags
     if lags is not None:
@@ -293,6 +296,7 @@ def parity_relations(
     horizon = whole_horizon(horizon)
     if horizon is None:
         horizon = _smallest_useful_horizon(model)
+    # asked of sizes before any exact number is made: what would not end is not begun
     affordable(model, horizon)
     if model.uncertainties:
         if form != "first":
@@ -306,6 +310,7 @@ def parity_relations(
     else:
         samples, K = _second(model, horizon)
         W = _with_disturbance(model, horizon, samples)
+    # a bound of a sum is tested by circuits and frames; each relation alone leaves it out
     W = _beside_sums(model, horizon, W)
     if not W:
         raise ValueError(_without_relation(model, horizon, lags))
@@ -314,6 +319,7 @@ def parity_relations(
     looked_at = window.window_rows(model, horizon, lags).seen
     E, on_inputs = (_numbered(matrix, looked_at) for matrix in window.unknowns(model, horizon))
     most = SUBSETS if model.constant_tolerance else TESTED
+    # of the rows that are looked at, those of sums among them, which W has not
     circuits = _few_circuits(E, most)
     report(0.6)
     if not circuits:
@@ -390,6 +396,7 @@ def _beside_sums(model: LinearSystem, horizon: int, relations: Matrix) -> Matrix
 def _few_circuits(E: Rows, most: int) -> Matrix:
     """Return the circuits of the rows E, or none if they are more than `most`."""
     rank = linalg.rank(E)
+    # without unknowns each row is a circuit by itself, and none is looked for
     if rank and math.comb(len(E), rank + 1) > SUBSETS:
         return ()
     every = circuits(E)
@@ -402,6 +409,7 @@ def _with_disturbance(model: LinearSystem, horizon: int, relations: Matrix) -> M
     """Append to relations h Y = k U the coefficients of the disturbances: Y = .. + V w."""
     if not model.g or not horizon:
         return relations
+    # W (Y - V w) = K U: what the plant adds by w is no part of the relation
     through = linalg.matmul(relations, window.disturbance_form(model, horizon))
     return tuple(h + linalg.scale(v, -1) for h, v in zip(relations, through, strict=True))
 
@@ -423,6 +431,7 @@ def _first(model: LinearSystem, horizon: int, report: Callable[[float], object])
         return (ZERO,) * (shift * width) + row + (ZERO,) * ((later - shift) * width)
 
     shifted = [(i, 0) for i in range(len(samples))]
+    # moved by one sample, another relation still lies among samples whose relations are all there
     newest = [i for i, row in enumerate(samples) if any(row[short * model.p :])]
     for shift in range(1, later + 1):
         shifted += [(i, shift) for i in newest]
@@ -438,6 +447,7 @@ def _first(model: LinearSystem, horizon: int, report: Callable[[float], object])
 def _second(model: LinearSystem, horizon: int) -> tuple[Matrix, Matrix]:
     """Return (W~_L, action on U) of the second static form. Source: (13)-(14)."""
     L, M, N, F = window.second_form(model, horizon)
+    # the states of all samples are unknowns here, and rows of the dynamics bind each to the next
     stacked = linalg.left_null_space(L + M)
     on_outputs = tuple(row[: len(L)] for row in stacked)
     direct = _on_inputs(on_outputs, F)
@@ -460,6 +470,7 @@ def _smallest_useful_horizon(model: LinearSystem) -> int:
     n, p = model.n, model.p
     exact = window.unbounded(model, n)  # a longer window involves no further output (Cayley-Hamilton)
     O = [[x.numerator * pow(x.denominator, -1, PRIME) % PRIME for x in row] for row in exact]
+    # numbers modulo a prime do not grow; exact ones would, from sample to sample
     whole = _ranks(O, p, n + 1)
     others = []
     for i in range(p):
@@ -491,6 +502,7 @@ def _ranks(rows: list[list[int]], width: int, count: int) -> list[int]:
         if lead is not None:
             scale = pow(row[lead], -1, PRIME)
             reduced[lead] = [x * scale % PRIME for x in row]
+        # a sample is complete: the rank of the window that ends here
         if i % width == 0:
             out.append(len(reduced))
     return out

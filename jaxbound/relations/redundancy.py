@@ -150,10 +150,12 @@ class Redundancy(Relations):
         W, K = [], []
         for row in self.rows:
             numbers = shift.coefficients(row)
+            # a shorter relation looks at the newest samples: an error is seen by all at once
             late = s + 1 - len(numbers)
             on_outputs, on_inputs = (ZERO,) * (late * p), (ZERO,) * (late * m)
             for now in numbers:
                 on_outputs += now[:p]
+                # M_y y + M_u u = 0 here, W Y = K U there
                 on_inputs += linalg.scale(now[p:], -1)
             W.append(on_outputs)
             K.append(on_inputs[: lags * m])
@@ -245,6 +247,7 @@ def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = Non
             through: Vector = ()
             for response in reversed(responses):
                 through += response[i]
+            # whole numbers: one scale a row, and no fraction is reduced in the loops
             row, scale = linalg.integers(reached[i] + through)
             numbers, used = _reduced(list(row), {j * p + i: scale}, independent)
             pivot = next((c for c, x in enumerate(numbers) if x), None)
@@ -254,6 +257,7 @@ def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = Non
             independent.append((pivot, numbers, used))
             again.append(i)
         waiting = again
+        # no further relation exists: what comes later is these, shifted
         if len(rows) >= most:
             break
         response = ((),) * p
@@ -266,6 +270,7 @@ def basis(model: LinearSystem, F: Matrix | None = None, D_v: Matrix | None = Non
 
 def _pencil(model: LinearSystem, F: Matrix, D_v: Matrix) -> Matrix:
     """Return [[q - A, F], [C, D_v]] at some q."""
+    # far from any root that a model of moderate numbers has; a hit would only cost time
     q = Fraction(1_000_003)
     rows = []
     for unit, a, f in zip(linalg.identity(model.n), model.A, F, strict=True):
@@ -290,6 +295,7 @@ def _reduced(
             for key, y in others.items():
                 used[key] = used.get(key, 0) - f * y
             common = gcd(*row, *used.values())
+            # numbers would double their digits with each row that is taken out
             if common > 1:
                 row = [x // common for x in row]
                 used = {key: x // common for key, x in used.items()}

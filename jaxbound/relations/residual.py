@@ -169,6 +169,7 @@ class Residual(ResidualRelations):
         shapes = self.box.shape, (samples, m), (samples, p)
         # a class of JAX without types
         arguments = [jax.ShapeDtypeStruct(x, dtype) for x in shapes]  # type: ignore[no-untyped-call]
+        # traced, not run: f may be slow, or refuse samples that are no plant's
         out = jax.eval_shape(flat(self.f), *arguments)
         if not out.size or not jnp.issubdtype(out.dtype, jnp.floating):
             raise ValueError(f"f must return at least one float, not {out.size} of type {out.dtype}")

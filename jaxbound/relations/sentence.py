@@ -56,6 +56,7 @@ def _largest(total: str, most: int) -> str:
     """Return a sum by its largest terms."""
     terms = _terms(total)
     by_size = sorted(range(len(terms)), key=lambda i: -_size(terms[i][1]))
+    # in the order of the relation: a reader finds each again
     kept = sorted(by_size[:most])
     text = ""
     for i in kept:
@@ -73,6 +74,7 @@ def _terms(total: str) -> list[tuple[str, str]]:
         sign, begun = "-", 2
     for i, letter in enumerate(total):
         depth += (letter == "(") - (letter == ")")
+        # a sign counts where it joins two terms: not that of an exponent, nor one in brackets
         if i > begun and not depth and total[i - 1 : i + 2] in (" + ", " - "):
             found.append((sign, total[begun : i - 1]))
             sign, begun = letter, i + 2

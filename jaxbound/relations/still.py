@@ -29,11 +29,13 @@ def without_still(relations: R, made: Callable[[LinearSystem], R]) -> R | None:
     model, bounds = relations.model, relations.bounds
     ends = bounds.get("disturbance")
     summed = any(not values.measured for values in window_rows(model, 0).sums)
+    # of tracers nobody knows whether they are 0, and sums of errors have rows of their own
     if ends is None or summed or any(isinstance(x, jax.core.Tracer) for x in bounds.values()):
         return None
     most = VANISHING
     if model.factors:  # what widens the noise must not be times a factor
         most = np.finfo(float).smallest_subnormal
+    # the loops of a search divide by radii, whose reciprocals have to stay finite
     still = np.asarray((np.abs(ends) < most).all(1))
     if not still.any():
         return None
@@ -63,6 +65,7 @@ def _wider_noise(relations: LinearRelations, ends: np.ndarray) -> Array:
         return noise
     size = tuple(Fraction(float(x)) for x in np.abs(ends).max(1))
     rows, wider = model.C, [Fraction(float(x)) for x in noise]
+    # what w of one sample does to the outputs of all later ones of a window: C G, C A G, ..
     for _ in range(relations.horizon):
         through = linalg.matmul(rows, model.G)
         for i, row in enumerate(through):

@@ -274,6 +274,7 @@ def uncertain_relations(
             f"horizon {horizon}: the relations are too large to be found; fewer varying parameters or "
             f"another horizon may do"
         )
+    # relations may be all at almost every v, and too few where the rank of E drops
     if complete == "proved" and proof != "proved":
         complete = "sampled"
     if complete == "partial":
@@ -302,8 +303,10 @@ def _without(
     omega, steps, complete = annihilator(reduced)
     if not omega.rows:
         return None
+    # fewer rows may lose rank where all of them do not
     if rank_over_box(reduced, generic_rank(reduced))[0] != "proved":
         complete = "sampled"
+    # columns of rows that are left out are zeros: the relation does not look there
     whole: Terms = {}
     for a, entries in omega.terms.items():
         whole[a] = {(i, left[j]): x for (i, j), x in entries.items()}

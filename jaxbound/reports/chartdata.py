@@ -35,6 +35,7 @@ BEFORE = 20  # samples of a stretch before the alarm that it is made for
 BANDS = 50_000  # samples up to which windows say of every reading what they expect
 PATIENCE = 1.0  # seconds to read such stretches of a recording that is not in memory
 COMBINED = "combination of relations, in what its bounds allow"
+COLUMN = "column "  # the first word of the keys of numbers that a test hands over
 TITLE = 120  # characters of a relation
 
 
@@ -70,6 +71,9 @@ def charts(res: Result | Digest, recording: Recording | Digest, shown: Shown) ->
         about = "the window with the lowest bound"
     near = _stretches(res, x, signals, shown)
     close, times = near[0].piece, []
+    verdicts = [ChartRow("margin", "margin", kind="margin")]
+    for name in near[0].res.columns:  # of a Digest too, whose stretches are judged anew
+        verdicts.append(ChartRow(f"{COLUMN}{name}", name))
     begin = float(close.x[0])
     if shown.chosen:
         begin = max(begin, float(x(max(shown.alarms[shown.chosen[0]].start - BEFORE, 0))))
@@ -77,7 +81,7 @@ def charts(res: Result | Digest, recording: Recording | Digest, shown: Shown) ->
         alarm = shown.alarms[i]
         times.append([i, *(float(x(k)) for k in (alarm.start, alarm.end, alarm.worst))])
     return Charts(
-        rows=[*_combined_rows(res.relations), ChartRow("margin", "margin", kind="margin"), *signals, *states],
+        rows=[*_combined_rows(res.relations), *verdicts, *signals, *states],
         clock=clock,
         samples=samples,
         last=float(x(samples - 1)),
@@ -118,7 +122,7 @@ def _whole(
     """Return the ChartPiece of a Result, the time of a sample by its number, and the AxisClock."""
     time, clock = axis_of(recording, len(res.status), res.relations.model.dt)
     margin = drawn_margins(res)
-    series = {"margin": margin, **_signals(res.u, res.y, signals)}
+    series = {"margin": margin, **_signals(res.u, res.y, signals), **_number_series(res)}
     bands = bands_of(res, slice(0, len(time)))
     return piece_of(time, res.status, series, bands).fitting(), time.__getitem__, clock
 
@@ -148,6 +152,11 @@ def _signals(u: np.ndarray, y: np.ndarray, signals: Sequence[ChartRow]) -> dict[
     """Return {key: (T,)} of the signals shown: outputs, then inputs."""
     columns = np.concatenate([y, u], 1).T
     return {row.key: column for row, column in zip(signals, columns, strict=False)}
+
+
+def _number_series(res: Result, ends: slice = slice(None)) -> dict[str, np.ndarray]:
+    """Return {key: numbers} that a test hands over beside its verdicts."""
+    return {f"{COLUMN}{name}": x[ends] for name, x in res.columns.items()}
 
 
 class ChartStretch:
@@ -229,6 +238,7 @@ def _stretch(
         "margin": res.measured(shown)[ends],
         **_signals(res.u[ends], res.y[ends], signals),
         **_uncertain_shares(res, ends),
+        **_number_series(res, ends),
     }
     piece = piece_of(time, res.status[ends], series, bands_of(res, ends))
     return ChartStretch(res, first, stop, piece, begin)

@@ -20,6 +20,7 @@ TITLE = {
     "too little evidence": "Too little evidence",
     "no fault": "No fault found",
     "study": "What this monitor sees",
+    "look": "What was read",
 }
 
 

@@ -13,7 +13,7 @@ from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.watching import Watching
 from jaxbound.estimation.validation import Validation
 from jaxbound.models.system import LinearSystem
-from jaxbound.recordings.columns import Arrow, to_arrow, words
+from jaxbound.recordings.columns import Arrow, Words, to_arrow
 from jaxbound.recordings.sample_axis import Place
 from jaxbound.runs.summary import Evidence, evidence
 from jaxbound.runs.verdictfiles import Columns, verdict_columns
@@ -129,7 +129,7 @@ def _(res: Validated) -> Columns:
 
     A bound that is not known, as in the first samples, is blank.
     """
-    columns = {"status": words([s.name for s in Status], res.status)}
+    columns = {"status": to_arrow(Words([s.name for s in Status], res.status))}
     validation = res.found
     for i, name in enumerate(res.model.outputs):
         lo, hi = _ends(validation.corrected, i)

@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from hashlib import blake2b
+from operator import attrgetter
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -219,6 +220,9 @@ def _judged(pieces: Sequence[Verdicts], known: int) -> Judged:
     margin = np.concatenate([piece.margin for piece in pieces], -1)
     status[..., :known], margin[..., :known] = Status.MISSING, np.nan
     judged = Judged(status, margin)
+    if isinstance(pieces[0], Judged):
+        columns = jax.tree.map(lambda *x: np.concatenate(x, -1), *map(attrgetter("columns"), pieces))
+        judged = judged._replace(columns=columns)
     if getattr(pieces[0], "by", None) is None:
         return judged
     names = "by", "statuses", "test_margins"

@@ -117,12 +117,12 @@ def _of_alarms(count: int, total: int) -> str:
 def sizes_text(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
     """Say from which size on windows are sure to show an error that lasts."""
     if res.relations.parts and sizes is None:
-        return "the tests are sure of no size that lasts, as far as is known"
+        return "from which size on the tests are sure to show an error that lasts is not known"
     if res.relations.latched and not res.relations.parts:
-        return "an observer is sure of no size that lasts"
+        return "an observer may miss an error that lasts, whatever its size"
     if res.relations.remembers and not res.relations.parts:
         advice = "latched=true keeps FAULT on behind what was contradicted"
-        return f"an observer is sure of no size that lasts; {advice}"
+        return f"an observer may miss an error that lasts, whatever its size; {advice}"
     these = looked_at(res.relations)
     if res.relations.parts:
         these = "the tests"
@@ -137,9 +137,9 @@ def sizes_text(res: Result | Digest, sizes: Mapping[str, float] | None) -> str:
     never = ", ".join(name for name, size in sizes.items() if not np.isfinite(size))
     untold = [name for name, test in res.relations.parts.items() if not is_affordable(test)]
     if not shown:
-        return f"{these} are sure of no constant error that lasts, whatever its size"
+        return f"{these} may miss a constant error that lasts, whatever its size"
     if never:
-        never = f", of {never} at no size"
+        never = f"; one of {never} they may miss, whatever its size"
     said = f"{these} are sure to show a constant error that lasts from {shown} on{never}"
     if untold:
         said += f"; {listed(untold)} may show smaller ones: jaxbound info tells from which size on"

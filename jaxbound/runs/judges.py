@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import ClassVar, Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar, cast
 
 import jax
 import numpy as np
@@ -159,12 +159,15 @@ class Live:
             self.state, verdicts = self.monitor.run(
                 self.state, recording.u, recording.y, starts=recording.starts
             )
-            if self.monitor.relations.remembers:
-                u = np.concatenate([self.last, recording.u])
-                judged = _judged(self.monitor.relations, verdicts)
-                verdicts = placed(judged, self.region, u, self.outside)
-                self.last = u[-len(self.last) :]
-            yield recording, verdicts
+            u = np.concatenate([self.last, recording.u])
+            self.last = u[-len(self.last) :]
+            yield recording, self._with_departure(verdicts, u)
+
+    def _with_departure(self, verdicts: OfObserver, u: np.ndarray) -> Verdicts:
+        """Return verdicts with their departure, which a Monitor of windows says itself. u: see `placed`."""
+        if self.monitor.relations.remembers:
+            verdicts = placed(_judged(self.monitor.relations, verdicts), self.region, u, self.outside)
+        return cast(Verdicts, verdicts)
 
     def _compile_ahead(self) -> None:
         """Compile beside a live stream what judges its later samples, while NumPy judges the first ones."""
@@ -173,13 +176,13 @@ class Live:
             self._ahead = threading.Thread(target=inherited(sparing(False)(self.compile)))
             self._ahead.start()
 
-    def compile(self) -> None:
-        """Judge samples of zeros and forget them, so that no sample waits for a compiler."""
+    def compile(self) -> Verdicts:
+        """Judge samples of zeros, so that no sample waits for a compiler; return their verdicts."""
         relations = self.monitor.relations
         windows = [test.horizon for test in relations.parts.values()]
         model, window = relations.model, max([relations.horizon, *windows]) + 1
         u, y = np.zeros((window, len(known(model)))), np.zeros((window, model.p))
-        self.monitor.run(self.monitor.init(), u, y)
+        return self._with_departure(self.monitor.run(self.monitor.init(), u, y)[1], u)
 
     def memory(self) -> Memory:
         """Return the state of the Monitor, of an observer the last inputs too."""

@@ -8,7 +8,7 @@ which it is needed.
 import json
 import os
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -35,6 +35,8 @@ from jaxbound.sets.floats.status import Status
 if TYPE_CHECKING:
     import pyarrow as pa
 
+KNOWN = {"time", "status", "margin", "outside", "outside_by", "outside_at", "test", "suspect"}
+"""Columns of a part that are read by name; others are numbers of the test."""
 IDENTITY, CARRY = b"identity", b"carry"  # in the metadata of a part
 OURS = re.compile(rf"part-\d{{5,}}\.parquet|\.part-\d{{5,}}\.parquet{UNFINISHED}")
 
@@ -230,36 +232,26 @@ def _read_part(part: Path, region: Region | None) -> tuple["pa.Array", Judged]:
     # not read_table: it would import pandas, which takes longer than to read a part
     with Damage(str(part)), pq.ParquetFile(part, page_checksum_verification=True) as f:
         table = f.read()
-    written, status, margin = (table.column(name).combine_chunks() for name in ("time", "status", "margin"))
-    codes = np.array([Status[name] for name in status.dictionary.to_pylist()], np.int8)
-    indices = status.indices.cast("int32")
-    picked = codes[np.frombuffer(indices.buffers()[1], np.int32, len(indices), 4 * indices.offset)]
-    departure = None
+    column = {name: table.column(name).combine_chunks() for name in table.column_names}
+    status = _word_numbers(column["status"], lambda name: Status[name]).astype(np.int8)
+    judged = Judged(status, from_arrow(column["margin"]))
     if region is not None:
-        departure = _departure_from(table, region)
-    by: np.ndarray | None = None
-    names: tuple[str, ...] = ()
-    if "test" in table.column_names:
-        by, names = _speakers_from(table)
-    return written, Judged(picked, from_arrow(margin), departure=departure, by=by, names=names)
+        by = _word_numbers(column["outside_by"], ("", *region.inputs).index) - 1
+        share, reading = from_arrow(column["outside"]), from_arrow(column["outside_at"])
+        judged = judged._replace(departure=Departure(share, by, reading, region))
+    if "test" in column:
+        names = "", *sorted({*column["test"].unique().to_pylist()} - {""})
+        judged = judged._replace(by=_word_numbers(column["test"], names.index) - 1, names=names[1:])
+    numbers = {}
+    for name, x in column.items():
+        if name not in KNOWN:
+            numbers[name] = from_arrow(x.cast("float64"))
+    return column["time"], judged._replace(columns=numbers)
 
 
-def _speakers_from(table: "pa.Table") -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return (number of the test that speaks at each sample, -1: none; names) of a monitor."""
-    test = table.column("test").combine_chunks()
-    if hasattr(test, "dictionary_decode"):
-        test = test.dictionary_decode()
-    written = np.array([name or "" for name in test.to_pylist()], object)
-    names, by = np.unique(np.append("", written).astype(str), return_inverse=True)
-    return by[1:].astype(np.int16) - 1, tuple(names[1:].tolist())
-
-
-def _departure_from(table: "pa.Table", region: Region) -> Departure:
-    """Return the departures that `outside_columns` wrote."""
-    share, by, reading = (
-        table.column(name).combine_chunks() for name in ("outside", "outside_by", "outside_at")
-    )
-    by = by.dictionary_encode()
-    numbers = [("", *region.inputs).index(name) - 1 for name in by.dictionary.to_pylist()]
-    picked = np.array(numbers, np.int16)[np.frombuffer(by.indices.buffers()[1], np.int32, len(by))]
-    return Departure(from_arrow(share), picked, from_arrow(reading), region)
+def _word_numbers(words: "pa.Array", number: Callable[[str], int]) -> np.ndarray:
+    """Return the number of each cell of a column of words, each of which is asked for once."""
+    coded = words.dictionary_encode()
+    numbers = np.array(list(map(number, coded.dictionary.to_pylist())), np.int16)
+    codes = coded.indices.cast("int32")
+    return np.asarray(numbers[np.frombuffer(codes.buffers()[1], np.int32, len(codes), 4 * codes.offset)])

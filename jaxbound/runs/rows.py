@@ -1,27 +1,25 @@
 """Rows of verdicts as samples come: the text of verdicts.csv, and the file itself."""
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, Protocol
 
+import numpy as np
+
+from jaxbound.consistency.interface import Judged
 from jaxbound.files.disk import sync, sync_folder
 from jaxbound.files.locks import lock
-from jaxbound.recordings.columns import Arrow, is_plain, moments, write_rows
+from jaxbound.recordings.columns import Arrow, header_line, is_plain, moments, write_rows
 from jaxbound.recordings.linetext import FEW
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.loop import Memory
 from jaxbound.runs.refusals import Refused
 from jaxbound.runs.sink import Verdicts
-from jaxbound.runs.verdictfiles import verdict_columns
-from jaxbound.sets.floats.status import Status
+from jaxbound.runs.verdictfiles import named_columns, verdict_columns
 
 VERDICTS = "verdicts.csv"
-PLAIN = "time", "status", "margin"
-REGION = "outside", "outside_by", "outside_at"  # of models that state ranges, before suspect
-TEST = "test"  # of a monitor
 QUOTED = set(',"\r\n')  # in a cell
-NAMES, FAULT = [status.name for status in Status], int(Status.FAULT)
+NOTHING = Judged(np.zeros(0, np.int8), np.zeros(0))
 RECOGNISED = 80  # last bytes of verdicts.csv by which it is known again
 UNFORCED = 1 << 13  # bytes that wait in the checkpoint before verdicts.csv is forced to the disk
 
@@ -41,20 +39,17 @@ class Text(Protocol):
 class RowText:
     """The rows of the last verdicts, made once for all that write them.
 
-    Args:
-        has_region: whether verdicts say how they depart from the region of training. has_tests: whether they
-            name the test of a monitor that speaks.
-
-    Fields: names: of the columns before the last one, which is suspect. header: the line of all names.
+    Fields: columns: of verdicts like those that come. names: of all columns. header: the line of them.
     """
 
-    def __init__(self, has_region: bool = False, has_tests: bool = False) -> None:
-        self.names: tuple[str, ...] = PLAIN
-        if has_region:
-            self.names = *self.names, *REGION
-        if has_tests:
-            self.names = *self.names, TEST
-        self.header = ",".join((*self.names, "suspect\n")).encode()
+    def __init__(self) -> None:
+        self.begin(NOTHING)
+
+    def begin(self, like: Verdicts) -> None:
+        """Take the columns of the verdicts that come."""
+        self.columns = named_columns(like)
+        self.names = "time", *self.columns
+        self.header = header_line(self.names)
         self.verdicts: Verdicts | None = None
         self.text = b""
 
@@ -170,44 +165,23 @@ def _row_text(written: Arrow, verdicts: Verdicts) -> bytes:
     import pyarrow as pa
 
     written = moments(written)
-    is_simple = is_plain(written) and _plainly_named(verdicts)
-    if len(written) <= FEW and is_simple:  # by hand, which is sooner done
-        return _few_rows(written.to_pylist(), verdicts)
+    if len(written) <= FEW and is_plain(written):  # by hand, which is sooner done
+        cells = [map(_cell_text, x.tolist()) for x in (written, *named_columns(verdicts).values())]
+        rows = list(zip(*cells, strict=True))
+        if QUOTED.isdisjoint("".join(map("".join, rows))):
+            return "".join(map("{}\n".format, map(",".join, rows))).encode()
     sink = pa.BufferOutputStream()
     write_rows(sink, {"time": written, **verdict_columns(verdicts)})
     return bytes(sink.getvalue().to_pybytes())
 
 
-def _plainly_named(verdicts: Verdicts) -> bool:
-    """Return whether no name of an input needs quotes in a CSV file."""
-    if getattr(verdicts, "by", None) is not None:
-        return False
-    if verdicts.departure is None:
-        return True
-    return QUOTED.isdisjoint("".join(verdicts.departure.names))
-
-
-def _few_rows(times: list[float | str], verdicts: Verdicts) -> bytes:
-    rows: list[str] = []
-    outside = _region_cells(verdicts)
-    numbers = verdicts.status.tolist(), verdicts.margin.tolist(), outside
-    for when, status, margin, cells in zip(times, *numbers, strict=True):
-        if not isinstance(when, str):
-            when = number_text(when)
-        suspect = str(status == FAULT or margin < 0).lower()
-        rows.append(f"{when},{NAMES[status]},{number_text(margin)},{cells}{suspect}\n")
-    return "".join(rows).encode()
-
-
-def _region_cells(verdicts: Verdicts) -> Iterator[str]:
-    """Yield the cells of each row on the region of training, each with a comma behind it."""
-    departure = verdicts.departure
-    if departure is None:
-        yield from [""] * len(verdicts.status)
-        return
-    numbers = departure.share.tolist(), departure.by.tolist(), departure.reading.tolist()
-    for share, by, reading in zip(*numbers, strict=True):
-        yield f"{number_text(share)},{departure.names[by + 1]},{number_text(reading)},"
+def _cell_text(x: float | str) -> str:
+    """Return a cell as pyarrow writes it."""
+    if isinstance(x, str):
+        return x
+    if isinstance(x, bool):
+        return str(x).lower()
+    return number_text(x)
 
 
 def number_text(x: float) -> str:

@@ -11,14 +11,14 @@ import numpy as np
 from jaxbound.diagnosis.alarms import Alarm
 from jaxbound.diagnosis.result import Result, suspected
 from jaxbound.diagnosis.suspects import tells_causes
-from jaxbound.models.region import Departure
-from jaxbound.recordings.columns import Arrow, texts, to_arrow, words, write_columns
+from jaxbound.recordings.columns import Arrow, Words, texts, to_arrow, write_columns
 from jaxbound.recordings.parquet import VERDICTS
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.contradiction import Spoken
 from jaxbound.runs.sink import Outcome, Sink, Verdicts
 from jaxbound.sets.floats.status import Status
 
+STATUS = [status.name for status in Status]
 Columns = dict[str, Arrow]
 """{name: column}, as they are written."""
 
@@ -87,42 +87,36 @@ def spoken_of(folder: Path, k: int) -> Spoken:
     return Spoken(*(str(said[0].get(name) or "") for name in wanted))
 
 
+def named_columns(result: Verdicts) -> dict[str, np.ndarray | Words]:
+    """Return the columns of verdicts beside the time.
+
+    status; margin, blank where there is none. Where there is a region of training: outside, the share by
+    which a window lies outside, 0 inside, blank where it is MISSING; outside_by, the input; outside_at, its
+    sample. Of a monitor: test, the one that speaks, blank where none does. Those of the test; suspect.
+    """
+    columns: dict[str, np.ndarray | Words] = {"status": Words(STATUS, result.status), "margin": result.margin}
+    departure, by = result.departure, getattr(result, "by", None)
+    if departure is not None:
+        columns["outside"] = departure.share
+        columns["outside_by"] = Words(departure.names, departure.by + 1)
+        columns["outside_at"] = departure.reading
+    if by is not None:
+        columns["test"] = Words(("", *getattr(result, "names", ())), by + 1)
+    columns |= getattr(result, "columns", {})
+    return columns | {"suspect": suspected(result.status, result.margin)}
+
+
 @singledispatch
 def verdict_columns(result: Verdicts) -> Columns:
-    """Return the columns of verdicts beside the time: status, margin (blank where there is none), those of
-    `outside_columns`, of a monitor the name of the test that speaks (blank where none does), suspect.
-    """
-    test, by = {}, getattr(result, "by", None)
-    if by is not None:
-        test["test"] = words(("", *getattr(result, "names", ())), by + 1)
-    return {
-        "status": words([x.name for x in Status], result.status),
-        "margin": to_arrow(result.margin),
-        **outside_columns(result.departure),
-        **test,
-        "suspect": to_arrow(suspected(result.status, result.margin)),
-    }
+    """Return `named_columns` as they are written."""
+    columns = named_columns(result)
+    return dict(zip(columns, map(to_arrow, columns.values()), strict=True))
 
 
 @verdict_columns.register(Result)
 def _(result: Result) -> Columns:
     """Return those of a Result: margins of FAULT windows are exact."""
     return verdict_columns(result.judged())
-
-
-def outside_columns(departure: Departure | None) -> Columns:
-    """Return the columns of windows by the region of training; none where there is no region.
-
-    outside: the share by which each lies outside, 0 inside, blank where it is MISSING. outside_by: the input,
-    outside_at: its sample.
-    """
-    if departure is None:
-        return {}
-    return {
-        "outside": to_arrow(departure.share),
-        "outside_by": words(departure.names, departure.by + 1),
-        "outside_at": to_arrow(departure.reading),
-    }
 
 
 class AlarmColumns(NamedTuple):

@@ -6,6 +6,8 @@ from jaxbound.sets.intervals.comparisons import *  # noqa: F403
 from jaxbound.sets.intervals.comparisons import __all__ as _comparisons
 from jaxbound.sets.intervals.elementary import *  # noqa: F403
 from jaxbound.sets.intervals.elementary import __all__ as _elementary
+from jaxbound.sets.intervals.errorfunctions import *  # noqa: F403
+from jaxbound.sets.intervals.errorfunctions import __all__ as _errors
 from jaxbound.sets.intervals.interval import *  # noqa: F403
 from jaxbound.sets.intervals.interval import __all__ as _interval
 from jaxbound.sets.linear_systems.solve import Solution, Solvability, solve_interval
@@ -41,6 +43,7 @@ __all__ = [
     *_interval,
     *_comparisons,
     *_elementary,
+    *_errors,
     "Answer",
     "ConstrainedZonotope",
     "Decision",

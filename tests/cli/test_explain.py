@@ -14,6 +14,7 @@ from systems import paper
 
 import jaxbound as jb
 from jaxbound.cli import main
+from jaxbound.cli.certificate_text import certificate_text
 from jaxbound.cli.explanation import explain_window
 from jaxbound.models.modelfile import save_model
 from jaxbound.recordings.csvfiles import CsvFile
@@ -435,3 +436,29 @@ def test_what_takes_long_shows_how_far_it_is(place, capsys, monkeypatch):
     steps.clear()
     assert explain(place, "30", "--json", capsys=capsys)[0] == 0
     assert steps[-1] == (1, 0.0), "no candidates for whoever wants JSON"
+
+
+def test_causes_come_by_plausibility_and_those_beyond_their_range_are_counted(tmp_path):
+    """The readings say what a bias of .5 says, and an input that is off by five times its range."""
+    model = jb.LinearSystem(
+        [["0.5"]],
+        [["0.1"]],
+        [[1], [2]],
+        noise=["0.01", "1.2"],
+        horizon=1,
+        inputs=["valve"],
+        outputs=["T", "wide"],
+        ranges={"valve": (0, 1)},
+        units={"T": "K"},
+    )
+    u, y = np.zeros((2, 1)), np.array([[1.0, 2.0], [1.0, 1.0]])
+    certificate = jb.detect(jb.parity_relations(model), u, y).explain(1)
+    found = certificate.diagnose()
+    assert found.explains[-1].fault.name == "offset of valve" and found.shares["offset of valve"] > 1
+    said = str(found)
+    assert said.endswith("; 1 more by sizes beyond the range in training: offset of valve")
+    assert "so would" not in said and " K of T explains it" in said
+    assert found.to_dict()["beyond_range"] == ["offset of valve"]
+    wrong = [row for row in certificate_text(certificate, 1, ["0 s", "1 s"])[1] if "wrong?" in row[0]]
+    assert [name for name, _ in wrong] == ["T wrong?", "valve wrong?", "wide wrong?"], "the likeliest first"
+    assert " K of this sensor alone" in wrong[0][1]

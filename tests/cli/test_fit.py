@@ -5,13 +5,14 @@ import inspect
 import json
 import re
 from fractions import Fraction
+from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 
 import jaxbound as jb
-from jaxbound.cli import fields, main
+from jaxbound.cli import fields, fit_summary, main
 from jaxbound.cli.fit_summary import signal_columns
 from jaxbound.recordings.read import read_signals
 from jaxbound.studies.identification import window_tests
@@ -72,6 +73,7 @@ def test_fit_writes_a_model_file(place, capsys):
     assert not any("multiple of" in hint for hint in jb.read("run.csv", model).hints)
     heat = np.loadtxt("run.csv", delimiter=",", skiprows=1)[:110, 1]
     assert tuple(map(float, model.ranges["heat"])) == (heat.min(), heat.max())
+    assert said["widest"]["share"] == said["recordings"][0]["used"]
     assert said["recordings"][0]["windows"] == 106 and said["held_out"]["windows"] > 20
     assert model.provenance["model"] == "fitted to 110 samples in 1 recording", "10 of 120 are set aside"
 
@@ -120,6 +122,7 @@ def test_the_summary_names_bounds_shares_and_cautions(place, capsys):
     for text in (
         "tank: fitted to 1 recording",
         "run.csv 106 windows, ",
+        "widest bounds run.csv, the window that ends at ",
         "safety 1.25 times these bounds",
         "caution nothing was left out",
         "10 of 120 samples are set aside",
@@ -302,3 +305,58 @@ def test_the_fields_of_a_recipe_are_those_of_the_command():
     recipe = [word.partition(":")[0].replace("-", "_") for word in fields.OLD["recipe"].split()]
     assert recipe == [field.name for field in dataclasses.fields(jb.Recipe)]
     assert list(inspect.signature(jb.fit).parameters)[-len(recipe) :] == recipe
+
+
+def test_a_healthy_day_is_added_to_a_model_file(place, capsys):
+    """Its comments, order and recipe stay; a day that is held leaves it as it is."""
+    assert main.main(FIT) == 0
+    model = place / "tank.toml"
+    before = "# of the old tank\n" + model.read_text()
+    model.write_text(before)
+    header, *rows = (place / "run.csv").read_text().splitlines()
+    cells = rows[60].split(",")
+    rows[60] = ",".join([*cells[:2], f"{float(cells[2]) + 0.3:.4f}", *cells[3:]])
+    (place / "monday.csv").write_text("\n".join([header, *rows, ""]))
+    capsys.readouterr()
+    assert main.main(["fit", "--add", "run.csv", "tank.toml"]) == 0
+    assert model.read_text() == before
+    assert "tank: its bounds hold, nothing changes" in capsys.readouterr().out
+    assert main.main(["detect", "tank.toml", "monday.csv", "--out", "before"]) == 1
+    capsys.readouterr()
+    assert main.main(["fit", "--add", "monday.csv", "tank.toml", "--out", "wide.toml", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert model.read_text() == before and said["tests"]["windows"]["factor"] > 1
+    assert said["sizes"]["after"]["jump"]["lift"] > said["sizes"]["before"]["jump"]["lift"]
+    assert main.main(["fit", "--add", "monday.csv", "tank.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "bounds up to" in out and "for monday.csv at" in out
+    assert model.read_text() == (place / "wide.toml").read_text()
+    lines = dict(zip(before.splitlines(), model.read_text().splitlines(), strict=True))
+    changed = [line.split(" = ")[0] for line, now in lines.items() if line != now]
+    assert changed == ["noise", "noise"], "the bound, and where it comes from"
+    assert "; widened by monday.csv" in model.read_text()
+    assert main.main(["detect", "tank.toml", "monday.csv", "--out", "after"]) == 0
+
+
+@pytest.mark.parametrize(
+    "options, sentence",
+    [
+        (["--add", "run.csv"], "--add needs one model file and recordings"),
+        (["--add", "tank.toml"], "--add needs one model file and recordings"),
+        (["--add", "run.csv", "tank.toml", "--where", "on == 1"], "--where is for a new model"),
+        (["--add", "run.csv", "tank.toml", "--out", "tank.toml", "--force"], "an input is never an output"),
+        (["run.csv", "--outputs", "on", "--out", "a.toml", "--most", "4"], "--most is for --add"),
+        (["run.csv", "--outputs", "on"], "--out is needed"),
+    ],
+)
+def test_what_does_not_go_with_add_is_refused(place, capsys, options, sentence):
+    (place / "tank.toml").write_text("")
+    assert main.main(["fit", *options]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_a_size_beyond_all_that_an_output_moved_is_none_to_expect():
+    check = SimpleNamespace(moved={"T": 10.0, "SAT": 60.0, "F": 1.0})
+    model = SimpleNamespace(outputs=("T", "SAT", "F"), check=check, unit={"T": "K", "SAT": "K", "F": ""}.get)
+    said = fit_summary._each_size(model, {"T": 0.5, "SAT": 494.0, "F": np.inf})
+    assert said == "T from 0.5 K, SAT beyond all that it moved, F beyond all that it moved"

@@ -226,3 +226,17 @@ def test_the_log_of_long_work_is_kept_from_who_wants_one_line(caplog):
             log.warning("half done")
         assert [record.getMessage() for record in caplog.records] == said
     assert log.level == logging.NOTSET
+
+
+@pytest.mark.posix
+def test_what_a_compiled_library_prints_by_itself_reaches_no_output():
+    """C holds it back where its output is a file: it must not come later either."""
+    program = (
+        "import ctypes; from jaxbound.cli.terminal import hushed; print('before')\n"
+        "with hushed():\n    ctypes.CDLL(None).puts(b'a solver')\nprint('behind')"
+    )
+    env = os.environ.copy()
+    env.pop("PYTHONUNBUFFERED", None)  # C would hold nothing back
+    line = [sys.executable, "-c", program]
+    done = subprocess.run(line, env=env, capture_output=True, check=True, timeout=60)
+    assert done.stdout.split() == [b"before", b"behind"]

@@ -10,8 +10,8 @@ import pytest
 from systems import paper
 
 import jaxbound as jb
-from jaxbound.consistency import exchange, strips
-from jaxbound.consistency.monitor import Monitor, Verdict
+from jaxbound.consistency import Verdict, exchange, strips
+from jaxbound.consistency.monitor import Monitor
 from jaxbound.consistency.strips import StripsTest
 from jaxbound.runs import judges
 from jaxbound.sets.floats import kernel

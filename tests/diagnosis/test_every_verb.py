@@ -42,6 +42,8 @@ VERBS = {
     ),
     "parameters": (lambda p: jb.parameters(p.watch, p.u, p.y), "parameters takes one test, not a monitor of"),
     "evaluate": (lambda p: jb.evaluate(p.watch, p.u, p.y), "signatures must be a table"),
+    "fit, of a model": (lambda p: jb.fit((p.u, p.healthy), add=p.plant), WORKS),
+    "fit, of a monitor": (lambda p: jb.fit((p.u, p.healthy), add=p.watch), NO_MODEL),
     "fit": (lambda p: jb.fit(p.watch), "must be a pair .*, not MonitorBank"),
     "unknown_inputs": (lambda p: jb.unknown_inputs(p.watch, p.u, p.y), NO_MODEL),
     "observe": (lambda p: jb.observe(p.watch, p.u, p.y), NO_MODEL),

@@ -73,7 +73,7 @@ def test_the_input_that_leads_most_windows_out_is_named_first():
 
 def test_steps_and_bursts_say_what_detect_says():
     u, y = case()
-    relations, starts = jb.parity_relations(paper(ranges=SEEN), 5), [60, 160]
+    relations, starts = jb.parity_relations(paper(ranges=SEEN, extrapolation="1.1"), 5), [60, 160]
     res = jb.detect(relations, u, y, starts=starts)
     mon = Monitor(relations)
     for cuts in ([0, 3, 4, 200, 201, 400], [0, *range(140, 221), 400]):
@@ -81,6 +81,7 @@ def test_steps_and_bursts_say_what_detect_says():
         for a, b in zip(cuts, cuts[1:], strict=False):
             state, verdict = mon.run(state, u[a:b], y[a:b], starts=[k - a for k in starts if a <= k < b])
             found.append(verdict)
+        np.testing.assert_array_equal(np.concatenate([v.status for v in found]), res.status)
         parts = [(v.outside, v.departure.by, v.departure.reading) for v in found]
         assert_same([np.concatenate(part) for part in zip(*parts, strict=True)], res)
     assert (res.outside > 0).sum() > 50 and (res.outside == 0).sum() > 50
@@ -91,7 +92,7 @@ def test_steps_and_bursts_say_what_detect_says():
 @pytest.mark.parametrize("family", ["windows", "observer"])
 def test_pieces_of_a_pipe_say_what_detect_says(family):
     u, y = case()
-    model = paper(ranges=SEEN)
+    model = paper(ranges=SEEN, extrapolation="1.1")
     relations = jb.observer(model) if family == "observer" else jb.parity_relations(model, 5)
     res = jb.detect(relations, u, y)
     judge, found = Live(Monitor(relations)), []
@@ -100,6 +101,7 @@ def test_pieces_of_a_pipe_say_what_detect_says(family):
         found += [verdicts for _, verdicts in judge((a, piece))]
         kept, judge = judge.memory(), Live(Monitor(relations))
         judge.resume(kept)  # as a process that goes on
+    np.testing.assert_array_equal(np.concatenate([v.status for v in found]), res.status)
     parts = [(v.departure.share, v.departure.by, v.departure.reading) for v in found]
     assert_same([np.concatenate(part) for part in zip(*parts, strict=True)], res)
 
@@ -112,7 +114,7 @@ def test_parts_of_a_large_recording_say_what_detect_says(family, outside, tmp_pa
     u = u.copy()
     u[1000:1060] = 1.75
     folder = streaming_case.write(tmp_path / "run", t, u, y)
-    model = paper(ranges={"u1": (-1, 1)}, columns={"time": "t"})
+    model = paper(ranges={"u1": (-1, 1)}, columns={"time": "t"}, extrapolation="1.1")
     relations = jb.observer(model) if family == "observer" else jb.parity_relations(model, 2)
     res = jb.detect(relations, jb.read(folder, model), outside=outside)
     found = detect_dataset(relations, folder, tmp_path / "out", chunk=300, outside=outside)

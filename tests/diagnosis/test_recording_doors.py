@@ -348,6 +348,7 @@ VERBS = {
     "observe": lambda table: jb.observe(plant(), table),
     "unknown_inputs": lambda table: jb.unknown_inputs(plant(unknown_inputs=[[1], [0]]), table, horizon=1),
     "tune": lambda table: jb.tune(jb.parity_relations(plant(), 1), table, steps=0),
+    "fit, of a model": lambda table: jb.fit(table, add=plant(), most=1e9),
     "fit": lambda table: jb.fit(table, **FITTED, dt=1.0),
     "a source": lambda table: open_source(table, plant()).read(),
 }

@@ -69,6 +69,7 @@ CHANGES = dict(
     horizon=4,
     lags=(0, 1, 3),
     left_out="1.3",
+    extrapolation="1.4",
     averages={"w1": {2: 0.005}},
     tests=[{"name": "slow", "horizon": 5, "factor": 1.2}],
     faults=[jb.NamedFault("valve leaks", input="u", kind="offset", sign="+")],

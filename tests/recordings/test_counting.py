@@ -16,6 +16,7 @@ from jaxbound.recordings.counting import counting_of, read_numbers
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.read import read_signals
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import with_format
 from jaxbound.recordings.seams import usual_period
 
 MODEL = jb.LinearSystem([[0.5]], None, [[1]], dt=60, noise=0.1)
@@ -205,12 +206,16 @@ def test_minutes_and_seconds_are_no_hours(tmp_path, form, period):
     assert any("are read as minutes and seconds: a gap of whole hours cannot be seen" in h for h in r.hints)
 
 
-def test_two_numbers_with_a_colon_are_hours_unless_the_model_says_seconds(tmp_path):
+def test_two_numbers_with_a_colon_are_hours_or_seconds_as_somebody_says(tmp_path):
     (tmp_path / "run.csv").write_text("time,y1\n" + "".join(f"00:{k:02d},0\n" for k in range(60)))
     hour = jb.read(tmp_path / "run.csv", MODEL)
     second = jb.read(tmp_path / "run.csv", MODEL.replace(dt=1))
     assert hour.time[-1] == 59 * 60 and second.time[-1] == 59
-    assert "they are read as hours and minutes" in read_signals(tmp_path / "run.csv", [], ["y1"])[0].hints[1]
+    with pytest.raises(ValueError, match="may be hours and minutes, or minutes and seconds: say which, by"):
+        read_signals(tmp_path / "run.csv", [], ["y1"])
+    for form, dt in (("%H:%M", 60), ("%M:%S", 1)):
+        columns = with_format({}, {"time_format": form})
+        assert read_signals(tmp_path / "run.csv", [], ["y1"], columns)[0].dt == dt
 
 
 def test_recordings_of_which_one_counts_hours_are_told_so(tmp_path):

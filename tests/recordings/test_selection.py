@@ -5,6 +5,7 @@ chunks.
 import json
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -17,6 +18,7 @@ from jaxbound.models.modelfile import load_model, model_text, save_model
 from jaxbound.recordings.parquet import open_parquet
 from jaxbound.recordings.read import read, read_signals
 from jaxbound.recordings.selection import wanted
+from jaxbound.recordings.signals import Signals
 from jaxbound.runs.streaming import Asked, write_parts
 
 COLUMNS = {
@@ -395,3 +397,12 @@ def test_an_expression_over_a_column_that_is_called_like_its_signal_is_that_of_t
     for given in (table, tmp_path / "run.csv"):
         run = jb.Recording.of(model, given) if given is table else jb.read(given, model)
         assert run.y.ravel().tolist() == [-272, -271, -269]
+
+
+def test_two_columns_called_like_time_are_named(tmp_path):
+    table = pd.DataFrame({"time": np.arange(5.0), "Time": 2 * np.arange(5.0), "y": np.zeros(5)})
+    table.to_csv(path := tmp_path / "run.csv", index=False)
+    (hint,) = [hint for hint in jb.read(path, Signals((), ("y",), {}, 1)).hints if "called alike" in hint]
+    assert hint.startswith("the time is column 'time', not 'Time', called alike: say which")
+    named = jb.read(path, Signals((), ("y",), {"time": "Time"}, 2))
+    assert named.dt == 2 and not any("called alike" in hint for hint in named.hints)

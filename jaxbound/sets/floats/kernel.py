@@ -91,6 +91,7 @@ def sparing(active: bool | str | None = True) -> Iterator[None]:
             calls counts the windows.
     """
     before = is_sparing()
+    # a block that forbids it is not to be overruled by what it calls
     if before is not False and active is not None:
         _state.sparing = active
     try:
@@ -111,6 +112,7 @@ def spared(work: float, kind: Hashable) -> bool:
         return False
     if is_sparing() == UNCOUNTED:
         return True
+    # a call of one window costs NumPy as much as one of dozens
     _evaluated[kind] += max(work, CALL)
     return _mode == NEVER or _evaluated[kind] <= FEW
 
@@ -125,6 +127,7 @@ def first_in_numpy(samples: int, count: int, weight: float, kind: Hashable) -> i
     if _mode == NEVER:
         return count
     key, few = ("first", kind), int(FIRST // weight)
+    # few for each stream, and for all streams of the process together
     early = max(min(count, few - samples, int(STREAMS * few - _evaluated[key])), 0)
     _evaluated[key] += early
     return early
@@ -252,6 +255,7 @@ class Kernel:
             return self._compiled(*args, **kwargs)
         if not is_outside_xla():
             return self._alone(*args, **kwargs)
+        # the very program that XLA would compile, written down once for each shape
         traced = self._compiled.trace(*args, **kwargs)
         out = evaluated(traced.jaxpr, given)
         return jax.tree.unflatten(jax.tree.structure(traced.out_info), out)
@@ -288,6 +292,7 @@ def evaluated(program: ClosedJaxpr, args: Sequence[Any]) -> list[np.ndarray]:
     Raises:
         NotImplementedError: a primitive of it is not written in NumPy.
     """
+    # a number of Python gets the type that the program was traced with
     given = [np.asarray(x, dtype_of(v)) for x, v in zip(args, program.jaxpr.invars, strict=True)]
     with np.errstate(all="ignore"):
         return _closed(program)()(*given)

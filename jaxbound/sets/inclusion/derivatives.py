@@ -1,7 +1,8 @@
 """A function prepared so that the derivative that JAX takes of it is that of its mathematics.
 
 Custom rules and stop_gradient may state another derivative than the function has; they are dropped. max, min
-and clamp become selections by a comparison, which an interval can decide.
+and clamp become selections by a comparison, which an interval can decide. Tables (jnp.interp) have one
+primitive for their slope.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 
 from jaxbound.sets.floats.equations import bind, body, dtype_of
+from jaxbound.sets.inclusion.tables import interpolated, is_interp
 
 
 def plain(jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Any]) -> list[Any]:
@@ -27,6 +29,8 @@ def plain(jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Any]) -> list[Any]
 
 def _apply(eqn: JaxprEqn, values: list[Any]) -> Sequence[Any]:
     name, inner = eqn.primitive.name, body(eqn)
+    if is_interp(eqn):
+        return [interpolated(*values)]
     if inner is not None:
         return plain(inner.jaxpr, inner.consts, values)
     if name == "stop_gradient":
@@ -77,10 +81,25 @@ def _reduced_by_halves(pick: Callable[[jax.Array, jax.Array], jax.Array]) -> Cal
     return reduce
 
 
+def _error_function(f: Callable[[jax.Array], jax.Array], sign: int) -> Callable[..., jax.Array]:
+    """Return erf or erfc, whose derivative has 2 / sqrt(pi) in it: as JAX writes it, a float beside it."""
+    g = jax.custom_jvp(f)
+
+    @g.defjvp
+    def rule(primals, tangents):
+        (x,), (dx,) = primals, tangents
+        quarter = jnp.arctan(jnp.ones_like(x))  # of pi
+        return f(x), sign * jnp.exp(-jnp.square(x)) / jnp.sqrt(quarter) * dx
+
+    return lambda x, **_: g(x)
+
+
 SELECTED: dict[str, Callable[..., jax.Array]] = {
     "max": _greater,
     "min": _less,
     "clamp": _clamp,
     "reduce_max": _reduced_by_halves(_greater),
     "reduce_min": _reduced_by_halves(_less),
+    "erf": _error_function(jax.lax.erf, 1),
+    "erfc": _error_function(jax.lax.erfc, -1),
 }

@@ -20,6 +20,7 @@ from jaxbound.sets.floats.equations import bind, body, by_key, dtype_of, inexact
 from jaxbound.sets.inclusion.lifted import enclose, settled
 from jaxbound.sets.inclusion.predicates import least, most, whole
 from jaxbound.sets.inclusion.primitives import DEFINED, MOVED, RISING, RULES, STEADY, WHOLE
+from jaxbound.sets.inclusion.tables import INTERP, is_interp
 from jaxbound.sets.inclusion.undefined import OBSERVED, either, observes, possible
 from jaxbound.sets.intervals.interval import Interval, computed
 
@@ -76,6 +77,7 @@ def _follow(jaxpr, consts, args, absent):
     nobody observes is left out of a program that is compiled. The bounds of args are settled, whatever a loop
     or a branch made of them.
     """
+    # a branch or a loop made these bounds: read once, as compiled code reads them
     args = [_computed(x) if isinstance(x, Interval) else x for x in args]
     known = lambda x: (_constant(x), _absent(x))
     env = dict(zip(jaxpr.constvars, map(known, consts), strict=True)) | dict(
@@ -87,6 +89,7 @@ def _follow(jaxpr, consts, args, absent):
         values, missing = zip(*map(read, eqn.invars), strict=True) if eqn.invars else ((), ())
         outs, found, fine = _apply(eqn, list(values), list(missing))
         env.update(zip(eqn.outvars, zip(outs, found, strict=True), strict=True))
+        # a chain of continuous steps is continuous; one that may jump spoils all behind it
         continuous = continuous & fine
     outs, absent = zip(*map(read, jaxpr.outvars), strict=True) if jaxpr.outvars else ((), ())
     return list(outs), list(absent), continuous
@@ -146,7 +149,10 @@ def _constant(x):
 def _apply(eqn, values, absent):
     """Return (outs, absent, continuous) of one equation."""
     name, inner = eqn.primitive.name, body(eqn)
-    if inner is not None:
+    is_table = is_interp(eqn) and any(isinstance(v, Interval) for v in values)
+    if is_table:
+        name = INTERP
+    elif inner is not None:
         return _follow(inner.jaxpr, inner.consts, values, absent)
     if name in CONTROL:
         return CONTROL[name](values, absent, eqn.params)
@@ -238,6 +244,7 @@ def _moved(eqn, values, absent):
             f"inclusion cannot follow {eqn.primitive.name} where an index depends on an interval: use "
             f"jnp.where"
         )
+    # what says where things go is no set
     ready = [enclose(v) if i in moved else v for i, v in enumerate(values)]
     lower, upper = (
         bind(eqn, *(getattr(v, end) if i in moved else v for i, v in enumerate(ready)))
@@ -275,6 +282,7 @@ def _steady(step, carry):
         grown = [enclose(c) if isinstance(a, Interval) else c for c, a in zip(carry, after, strict=True)]
         if all(type(c) is type(g) for c, g in zip(carry, grown, strict=True)):
             return [jax.tree.map(jnp.asarray, c) for c in grown]
+        # each round makes one more of them an Interval: it ends with the last
         carry = grown
 
 
@@ -294,6 +302,7 @@ def _scan(values, absent, params):
     one = lambda carry, x, away: _follow(
         inner.jaxpr, inner.consts, [*consts, *carry, *x], [*no_consts, *away, *no_xs]
     )
+    # any slice will do: types and forms are all that is looked at
     first = jax.tree.map(lambda v: jnp.zeros(v.shape[1:], v.dtype), xs)
     carry = _steady(lambda carry: one(carry, first, _marked(carry, [None] * count))[0][:count], carry)
 
@@ -373,6 +382,7 @@ def _while(values, absent, params):
         carry, away, continuous = turn(going.hi, carry, away)
         return carry, away, ended, fine & continuous & jnp.all(going.lo == going.hi), count + 1
 
+    # empty intervals, which a hull leaves alone
     nothing = [
         Interval(jnp.full_like(c.lo, most(c.dtype)), jnp.full_like(c.hi, least(c.dtype))) for c in carry
     ]
@@ -381,6 +391,7 @@ def _while(values, absent, params):
     carry, away, ended, fine, _ = jax.lax.while_loop(running, follow, start)
     going = test(carry, away)
     ended = stopped(going, carry, ended)
+    # a loop that is still going after so many turns may end in anything
     anything = [
         Interval(jnp.full_like(c.lo, least(c.dtype)), jnp.full_like(c.hi, most(c.dtype))) for c in carry
     ]

@@ -16,10 +16,10 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from jaxbound.sets.inclusion import lifted
+from jaxbound.sets.inclusion import lifted, tables
 from jaxbound.sets.inclusion.lifted import enclose, integral, of, poles
 from jaxbound.sets.inclusion.predicates import Rule, comparison, equals, integers, negated, predicates, whole
-from jaxbound.sets.intervals import elementary
+from jaxbound.sets.intervals import elementary, errorfunctions
 from jaxbound.sets.intervals.interval import Interval, div, mul, neg, pown, recip, sqr
 from jaxbound.sets.intervals.interval import abs as absolute
 
@@ -105,6 +105,7 @@ RULES: dict[str, Rule] = COMPARISONS | {
     ),
 }
 RULES |= {name: of(getattr(elementary, name)) for name in elementary.__all__} | {"atan2": lifted.angle}
+RULES |= {"erf": of(errorfunctions.erf), "erfc": of(errorfunctions.erfc)} | tables.RULES
 RULES |= {
     "log": poles(elementary.log, (0, -1)),
     "atanh": poles(elementary.atanh, (-1, -1), (1, 1)),
@@ -141,6 +142,7 @@ DEFINED: dict[str, Callable[..., jax.Array]] = {
 }
 
 STEADY: dict[str, Callable[..., jax.Array]] = {
+    "interp": tables.ascending,
     "rem": lambda out, x, y, **_: _constant(jnp.trunc, div(x, y)),
     "tan": lambda out, x, **_: jnp.isfinite(out.lo) & jnp.isfinite(out.hi),
     "atan2": lambda out, y, x, **_: (x.lo > 0) | _nonzero(y),

@@ -58,14 +58,14 @@ __all__ = [
 
 
 @overload
-def _elementary(f: Callable[[Interval], Interval]) -> Callable[[Operand], Interval]: ...
+def enclosing(f: Callable[[Interval], Interval]) -> Callable[[Operand], Interval]: ...
 @overload
-def _elementary(f: Callable[[Interval, Interval], Interval]) -> Callable[[Operand, Operand], Interval]: ...
+def enclosing(f: Callable[[Interval, Interval], Interval]) -> Callable[[Operand, Operand], Interval]: ...
 @overload
-def _elementary(
+def enclosing(
     f: Callable[[Interval, Interval, Interval], Interval],
 ) -> Callable[[Operand, Operand, Operand], Interval]: ...
-def _elementary(f: Callable[..., Interval]) -> Callable[..., Interval]:
+def enclosing(f: Callable[..., Interval]) -> Callable[..., Interval]:
     """Compile a function of Intervals; numbers and arrays are taken as points."""
 
     @jax.jit
@@ -109,7 +109,7 @@ def _within(x: Interval, least: float, largest: float) -> tuple[jax.Array, jax.A
     return lo, hi, (x.hi < least) | (x.lo > largest)
 
 
-@_elementary
+@enclosing
 def sqrt(x: Interval) -> Interval:
     """Return the square root of the numbers >= 0 in x. Source: IEEE 1788 sqrt."""
     empty = rounding.order(-x.hi) > 0
@@ -136,23 +136,24 @@ def _exponential(name: str, x: Interval) -> Interval:
             (bound == jnp.round(bound)) & (value >= rounding.tiny(x.dtype)) & jnp.isfinite(value)
         )
     else:
+        # e^0 and 10^0 are 1, and no other power of a float is known to be one
         exact = lambda bound, value: bound == 0
     return Interval(jnp.where(exact(x.lo, low), low, lo), jnp.where(exact(x.hi, high), high, hi))
 
 
-@_elementary
+@enclosing
 def exp(x: Interval) -> Interval:
     """Return e^x. Source: IEEE 1788 exp."""
     return _exponential("exp", x)
 
 
-@_elementary
+@enclosing
 def exp2(x: Interval) -> Interval:
     """Return 2^x. Source: IEEE 1788 exp2."""
     return _exponential("exp2", x)
 
 
-@_elementary
+@enclosing
 def exp10(x: Interval) -> Interval:
     """Return 10^x. Source: IEEE 1788 exp10."""
     return _exponential("exp10", x)
@@ -161,23 +162,24 @@ def exp10(x: Interval) -> Interval:
 def _logarithm(name: str, x: Interval) -> Interval:
     f, low, high = getattr(approximations, name), rounding.order(x.lo) > 0, rounding.order(x.hi) > 0
     lo, hi = _widen(name, f(jnp.where(low, x.lo, 1)), f(jnp.where(high, x.hi, 1)))
+    # log 1 is 0 in every base
     lo, hi = jnp.where(x.lo == 1, 0, lo), jnp.where(x.hi == 1, 0, hi)
     return empty_where(~high, jnp.where(low, lo, -jnp.inf), hi)
 
 
-@_elementary
+@enclosing
 def log(x: Interval) -> Interval:
     """Return the natural logarithm of the numbers > 0 in x. Source: IEEE 1788 log."""
     return _logarithm("log", x)
 
 
-@_elementary
+@enclosing
 def log2(x: Interval) -> Interval:
     """Return the logarithm to base 2 of the numbers > 0 in x. Source: IEEE 1788 log2."""
     return _logarithm("log2", x)
 
 
-@_elementary
+@enclosing
 def log10(x: Interval) -> Interval:
     """Return the logarithm to base 10 of the numbers > 0 in x. Source: IEEE 1788 log10."""
     return _logarithm("log10", x)
@@ -211,32 +213,34 @@ def _wave(x: Interval, which: int) -> tuple[jax.Array, jax.Array, jax.Array, jax
     return lo, jnp.where(cut | _meets(first, last, top, 4), 1, hi), first, last
 
 
-@_elementary
+@enclosing
 def sin(x: Interval) -> Interval:
     """Return the sine. Source: IEEE 1788 sin."""
     lo, hi, first, last = _wave(x, 0)
+    # sin 0 is 0: an end widened below it would add numbers of the wrong sign
     lo = jnp.where((x.lo == 0) & (last < 2), jnp.maximum(lo, 0), lo)
     return Interval(lo, jnp.where((x.hi == 0) & (first >= -2), jnp.minimum(hi, 0), hi))
 
 
-@_elementary
+@enclosing
 def cos(x: Interval) -> Interval:
     """Return the cosine. Source: IEEE 1788 cos."""
     lo, hi, *_ = _wave(x, 1)
     return Interval(jnp.where((x.lo == 0) & (x.hi == 0), 1, lo), hi)
 
 
-@_elementary
+@enclosing
 def tan(x: Interval) -> Interval:
     """Return the tangent; entire where x meets a pole. Source: IEEE 1788 tan."""
     (low, first), (high, last), cut = _turns(x, angles.tan)
     lo, hi = _widen("tan", low, high)
+    # tan 0 is 0, and its sign that of x up to the pole
     lo, hi = jnp.where(x.lo == 0, jnp.maximum(lo, 0), lo), jnp.where(x.hi == 0, jnp.minimum(hi, 0), hi)
     pole = cut | _meets(first, last, 1, 2)
     return Interval(jnp.where(pole, -jnp.inf, lo), jnp.where(pole, jnp.inf, hi))
 
 
-@_elementary
+@enclosing
 def asin(x: Interval) -> Interval:
     """Return the inverse sine of the numbers of x in [-1, 1]. Source: IEEE 1788 asin."""
     low, high, empty = _within(x, -1, 1)
@@ -245,22 +249,23 @@ def asin(x: Interval) -> Interval:
     return empty_where(empty, out.lo, out.hi)
 
 
-@_elementary
+@enclosing
 def acos(x: Interval) -> Interval:
     """Return the inverse cosine of the numbers of x in [-1, 1]. Source: IEEE 1788 acos."""
     low, high, empty = _within(x, -1, 1)
+    # it falls: the upper end gives the lower bound
     lo, hi = _widen("acos", angles.acos(high), angles.acos(low), 0, _up(angles.PI, x.dtype))
     return empty_where(empty, lo, jnp.where(low == 1, 0, hi))
 
 
-@_elementary
+@enclosing
 def atan(x: Interval) -> Interval:
     """Return the inverse tangent. Source: IEEE 1788 atan."""
     top = _up(angles.PI / 2, x.dtype)
     return kept_sign(x, *_widen("atan", angles.atan(x.lo), angles.atan(x.hi), -top, top))
 
 
-@_elementary
+@enclosing
 def atan2(y: Interval, x: Interval) -> Interval:
     """Return the angles in (-pi, pi] of the points (x, y), the origin left out; [-pi, pi] across the cut.
     Source: IEEE 1788 atan2.
@@ -276,38 +281,40 @@ def atan2(y: Interval, x: Interval) -> Interval:
     lo, hi = _widen("atan2", angles.atan2(low_y, low_x), angles.atan2(high_y, high_x), -top, top)
     lo = jnp.where(above, jnp.maximum(lo, 0), lo)
     hi = jnp.where(below & ((y.hi < 0) | (x.lo >= 0)), jnp.minimum(hi, 0), hi)
+    # across the negative axis angles jump from -pi to pi
     cut = (y.lo < 0) & (y.hi >= 0) & (x.lo < 0)
     origin = (y.lo == 0) & (y.hi == 0) & (x.lo == 0) & (x.hi == 0)
     return empty_where(origin, jnp.where(cut, -top, lo), jnp.where(cut, top, hi))
 
 
-@_elementary
+@enclosing
 def sinh(x: Interval) -> Interval:
     """Return the hyperbolic sine. Source: IEEE 1788 sinh."""
     return kept_sign(x, *_widen("sinh", approximations.sinh(x.lo), approximations.sinh(x.hi)))
 
 
-@_elementary
+@enclosing
 def cosh(x: Interval) -> Interval:
     """Return the hyperbolic cosine. Source: IEEE 1788 cosh."""
+    # even: least at the number next to 0, largest at the one farthest from it
     near, far = jnp.maximum(jnp.maximum(x.lo, -x.hi), 0), jnp.maximum(jnp.abs(x.lo), jnp.abs(x.hi))
     lo, hi = _widen("cosh", approximations.cosh(near), approximations.cosh(far), least=1)
     return Interval(lo, jnp.where(far == 0, 1, hi))
 
 
-@_elementary
+@enclosing
 def tanh(x: Interval) -> Interval:
     """Return the hyperbolic tangent. Source: IEEE 1788 tanh."""
     return kept_sign(x, *_widen("tanh", approximations.tanh(x.lo), approximations.tanh(x.hi), -1, 1))
 
 
-@_elementary
+@enclosing
 def asinh(x: Interval) -> Interval:
     """Return the inverse hyperbolic sine. Source: IEEE 1788 asinh."""
     return kept_sign(x, *_widen("asinh", approximations.asinh(x.lo), approximations.asinh(x.hi)))
 
 
-@_elementary
+@enclosing
 def acosh(x: Interval) -> Interval:
     """Return the inverse hyperbolic cosine of the numbers >= 1 in x. Source: IEEE 1788 acosh."""
     low, high, empty = _within(x, 1, jnp.inf)
@@ -315,7 +322,7 @@ def acosh(x: Interval) -> Interval:
     return empty_where(empty, lo, jnp.where(high == 1, 0, hi))
 
 
-@_elementary
+@enclosing
 def atanh(x: Interval) -> Interval:
     """Return the inverse hyperbolic tangent of the numbers of x in (-1, 1). Source: IEEE 1788 atanh."""
     low, high, _ = _within(x, -1, 1)
@@ -327,7 +334,7 @@ def atanh(x: Interval) -> Interval:
     )
 
 
-@_elementary
+@enclosing
 def fma(x: Interval, y: Interval, z: Interval) -> Interval:
     """Return x * y + z, rounded once. Source: IEEE 1788 fma."""
     factors = [(a, b) for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
@@ -346,6 +353,7 @@ def _fused(a: jax.Array, b: jax.Array, c: jax.Array, side: int) -> jax.Array:
     moderate = lambda v: (
         (jnp.abs(v) < 2.0 ** (info.maxexp // 2 - 2)) & (jnp.abs(v) > 2.0 ** (info.minexp // 4))
     )
+    # where two_prod loses nothing
     fine = (moderate(a) & moderate(b) | zero) & (jnp.abs(c) < info.max / 4)
     p, e = rounding.two_prod(*(jnp.where(fine & ~zero, v, 0) for v in (a, b)))
     s, t = rounding.two_sum(p, jnp.where(fine, c, 0))

@@ -42,6 +42,7 @@ __all__ = [
     "min",
     "mul",
     "neg",
+    "pow",
     "pown",
     "rad",
     "recip",
@@ -63,10 +64,10 @@ class Interval(Arrays):
 
     `x == y` and `x != y` are those of `equal`, entry by entry; an Interval has its identity for a hash.
 
-    Encloses: `x + y`, `x - y`, `x * y`, `x / y`, `x @ y`, `-x`, `abs(x)`, `x ** n` (n an integer) enclose the
-    exact results, eagerly and compiled, for every two floats lo <= hi (not one and the same infinity),
-    subnormal ones included; relations are exact for them. A bound that is NaN bounds nothing: it counts as
-    infinite, results are entire or have NaN for a bound again; no relation holds.
+    Encloses: `x + y`, `x - y`, `x * y`, `x / y`, `x @ y`, `-x`, `abs(x)`, `x ** n` (`pown` for a whole number
+    n, else `pow`) enclose the exact results, eagerly and compiled, for every two floats lo <= hi (not one and
+    the same infinity), subnormal ones included; relations are exact for them. A bound that is NaN bounds
+    nothing: it counts as infinite, results are entire or have NaN for a bound again; no relation holds.
     """
 
     lo: jax.Array
@@ -138,8 +139,13 @@ class Interval(Arrays):
     def __abs__(self) -> Interval:
         return abs(self)
 
-    def __pow__(self, n: int) -> Interval:
-        return pown(self, n)
+    def __pow__(self, n: Operand) -> Interval:
+        if isinstance(n, int | float | np.integer | np.floating) and float(n).is_integer():
+            return pown(self, int(n))
+        return pow(self, n)
+
+    def __rpow__(self, x: Operand) -> Interval:
+        return pow(x, self)
 
     def __eq__(self, other: object) -> jax.Array:  # type: ignore[override]  # as of arrays
         if other is None or isinstance(other, str):
@@ -339,7 +345,7 @@ def sqr(x: Interval) -> Interval:
 def pown(x: Interval, n: int) -> Interval:
     """Return x^n for a Python integer n; x^0 is 1. Source: IEEE 1788 pown."""
     if not isinstance(n, (int, np.integer)) or isinstance(n, bool):
-        raise TypeError(f"the exponent must be an integer, not {n!r}")
+        raise TypeError(f"the exponent must be an integer, not {n!r}: pow(x, y) takes others")
     if n < 0:
         return recip(pown(x, -n))
     if n == 0:
@@ -359,6 +365,38 @@ def _power(x: Interval, n: int) -> Interval:
     )
     lo, hi = jnp.where(near >= 0, jnp.maximum(lo, 0), lo), jnp.where(far <= 0, jnp.minimum(hi, 0), hi)
     return or_empty(lo, hi, x)
+
+
+def pow(x: Operand, y: Operand) -> Interval:
+    """Return x^y for the numbers of x above 0, and 0 for 0 with a y above 0. Source: IEEE 1788 pow.
+
+    Example:
+        >>> x = pow(interval(1.0, 2.0), 0.5)
+        >>> print(f"[{x.lo:.4f}, {x.hi:.4f}]")
+        [1.0000, 1.4142]
+    """
+    x, y = map(_read, alike(x, y))
+    shape = jnp.broadcast_shapes(x.shape, y.shape)
+    x, y = (jax.tree.map(lambda end: jnp.broadcast_to(end, shape), v) for v in (x, y))
+    return _real_power(x, y)
+
+
+@jax.jit
+def _real_power(x: Interval, y: Interval) -> Interval:
+    """Return e^(y log x), each of the three operations rounded outward."""
+    x, y = _read(x), _read(y)
+    some, whole = x.hi > 0, x.lo > 0
+    low, high = (approximations.log(jnp.where(at, end, 1)) for at, end in ((whole, x.lo), (some, x.hi)))
+    low, high = rounding.outward(low, high, approximations.UNITS["log"])
+    low = jnp.where(whole, jnp.where(x.lo == 1, 0, low), -jnp.inf)
+    exponent = mul(computed(low, jnp.where(x.hi == 1, 0, high)), y)
+    ends = approximations.exp(exponent.lo), approximations.exp(exponent.hi)
+    lo, hi = rounding.outward(*ends, approximations.UNITS["exp"])
+    lo, hi = (jnp.where(e == 0, 1, end) for e, end in ((exponent.lo, lo), (exponent.hi, hi)))
+    zero = (x.lo <= 0) & (x.hi >= 0) & (y.hi > 0)  # 0^y
+    lo, hi = jnp.where(zero | ~some, 0, jnp.maximum(lo, 0)), jnp.where(some, hi, 0)
+    out = empty_where(~some & ~zero, lo, hi)
+    return or_empty(out.lo, out.hi, x, y)
 
 
 def abs(x: Interval) -> Interval:

@@ -13,6 +13,7 @@ Source: Neumaier 1990, 1999 (comparison matrix, Hansen-Bliek-Rohn); Alhaj-Dibo, 
 
 from dataclasses import dataclass
 from functools import reduce
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +39,17 @@ from jaxbound.sets.linear_systems.products import (
 SWEEPS = 100  # at most: they stop where one gains less than 1e-4 of the width
 
 
+class ComparisonInverse(NamedTuple):
+    """Bounds |<A>^-1 - near| <= v omega' of the inverse of a comparison matrix, NaN where none is proved.
+
+    Fields: near (n, n, N), v (n, N) > 0, omega (n, N).
+    """
+
+    near: jax.Array
+    v: jax.Array
+    omega: jax.Array
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Factored:
@@ -49,7 +61,7 @@ class Factored:
     lefts: tuple[Interval, ...]  # (n - k, n - k, N): what is left of A after k steps of the elimination
     reciprocals: tuple[Interval, ...]  # (N,): 1 / their first entry
     shares: tuple[Interval, ...]  # (n - 1 - k, N): what each row below takes of row k
-    inverse: tuple[jax.Array, jax.Array, jax.Array]  # of <A>, as `comparison_inverse` gives it
+    inverse: ComparisonInverse  # of <A>
 
 
 def factored(A: Interval) -> Factored:
@@ -99,9 +111,8 @@ def _unless_infinite(x: Interval) -> Interval:
     return Interval(jnp.where(known, x.lo, jnp.nan), jnp.where(known, x.hi, jnp.nan))
 
 
-def comparison_inverse(A: Interval) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (near, v, omega) with |<A>^-1 - near| <= v omega' entry by entry, <A> the comparison matrix; NaN
-    where none is proved.
+def comparison_inverse(A: Interval) -> ComparisonInverse:
+    """Return bounds of <A>^-1, <A> the comparison matrix.
 
     <A> has the least |a_ii| on its diagonal and -max|a_ij| beside it. v > 0 with <A> v > 0 proves that every
     matrix in A is regular and <A>^-1 >= 0. From <A>^-1 - near = <A>^-1 (I - <A> near) and |I - <A> near|_k <=
@@ -138,12 +149,10 @@ def _largest_quotient(x: Interval, over_w: jax.Array, eye: jax.Array) -> jax.Arr
 
 
 @apart
-def _proved(
-    near: jax.Array, v: jax.Array, w: jax.Array, omega: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _proved(near: jax.Array, v: jax.Array, w: jax.Array, omega: jax.Array) -> ComparisonInverse:
     proved = (most(list(-w)) < 0) & (most(list(omega)) < jnp.inf)
-    near, v, omega = (jnp.where(proved[(None,) * (x.ndim - 1)], x, jnp.nan) for x in (near, v, omega))
-    return near, v, omega
+    known = (jnp.where(proved[(None,) * (x.ndim - 1)], x, jnp.nan) for x in (near, v, omega))
+    return ComparisonInverse(*known)
 
 
 def enclosed_solutions(F: Factored, b: Interval, method: str, start: Interval) -> Interval:
@@ -183,16 +192,13 @@ def _solved(y: Interval, left: Interval, x: list[Interval], over_pivot: Interval
     return product(_unless_infinite(y), over_pivot)
 
 
-def hansen_bliek_rohn(
-    A: Interval, inverse: tuple[jax.Array, jax.Array, jax.Array]
-) -> tuple[jax.Array, jax.Array, Interval]:
-    """Return upper bounds of N, lower bounds of N_ii, and A_ii + [-alpha_i, alpha_i], for N = <A>^-1 as
-    `comparison_inverse` gives it.
+def hansen_bliek_rohn(A: Interval, N: ComparisonInverse) -> tuple[jax.Array, jax.Array, Interval]:
+    """Return upper bounds of N = <A>^-1, lower bounds of N_ii, and A_ii + [-alpha_i, alpha_i].
 
     The enclosure (b_i + [-beta_i, beta_i]) / (A_ii + [-alpha_i, alpha_i]) has alpha_i = <A>_ii - 1 / N_ii and
     beta_i = (sum over k != i of N_ik |b_k|) / N_ii. Source: Neumaier 1999, theorem 2.1.
     """
-    return _above(*inverse), *_divisor(A, *inverse)
+    return _above(N), *_divisor(A, N)
 
 
 def _slack(v: jax.Array, omega: jax.Array) -> jax.Array:
@@ -200,20 +206,20 @@ def _slack(v: jax.Array, omega: jax.Array) -> jax.Array:
 
 
 @apart
-def _above(near: jax.Array, v: jax.Array, omega: jax.Array) -> jax.Array:
+def _above(N: ComparisonInverse) -> jax.Array:
     """Return an upper bound of the inverse of the comparison matrix."""
-    bound = near + _slack(v[:, None], omega[None])
+    bound = N.near + _slack(N.v[:, None], N.omega[None])
     return jnp.maximum(rounding.outward(bound, bound)[1], 0)
 
 
 @apart
-def _divisor(A: Interval, near: jax.Array, v: jax.Array, omega: jax.Array) -> tuple[jax.Array, Interval]:
+def _divisor(A: Interval, N: ComparisonInverse) -> tuple[jax.Array, Interval]:
     """Return lower bounds of N_ii, and A_ii + [-alpha_i, alpha_i]."""
     n = A.shape[0]
     diagonal = lambda X: jnp.stack([X[i, i] for i in range(n)])
     point = lambda x: Interval(x, x)
-    centre, slack = Interval(diagonal(A.lo), diagonal(A.hi)), _slack(v, omega)
-    least, middle = mig(centre), diagonal(near)
+    centre, slack = Interval(diagonal(A.lo), diagonal(A.hi)), _slack(N.v, N.omega)
+    least, middle = mig(centre), diagonal(N.near)
     one = jnp.ones_like(least)
     above = jnp.maximum(rounding.outward(middle + slack, middle + slack)[1], 0)
     below = rounding.outward(middle - slack, middle - slack)[0]

@@ -155,6 +155,7 @@ def _narrow(domain: Interval, *given: object) -> _Left:
 def _narrowed(domain, X, T, image, centre, value, slope):
     smooth = image.smooth
     d, J = rad(X), mid(slope)
+    # how far f can move from its value in the middle
     reach = _upper(mag(slope), d)
     # the second by the mean value theorem
     out = _apart(image.box, T) | smooth & _apart(value + Interval(-reach, reach), T)
@@ -178,10 +179,12 @@ def _narrowed(domain, X, T, image, centre, value, slope):
 def _around(unique: bool, region: bool, *given: object) -> _Near:
     def one(X, T, slope, left, reached):
         x, P = left.x, left.P
+        # an exact target is a point; of a set any point will do, so its middle is aimed at
         miss = mag(reached - (_point(mid(T)) if region else T))
         moves = jnp.abs(mid(slope)) @ (X.hi * 0.5 - X.lo * 0.5)
         usable = jnp.isfinite(moves) & (moves > 0)
         share = jnp.max(jnp.where(usable, miss / jnp.where(usable, moves, 1), 0))
+        # twice the largest miss: room for what the box of slopes adds
         r = miss + jnp.where(usable, share * moves, miss) + 1024 * rounding.tiny(miss.dtype)
         reach = _upper(jnp.abs(P), r)
         Z, fixed = _point(x) + Interval(-reach, reach), jnp.all(P == 0, 1)  # zeros move nothing, exactly
@@ -205,6 +208,7 @@ def _conclude(region: bool, domain: Interval, *given: object) -> Verdicts[jax.Ar
         proved = ~left.out & (inside | holds)
         proof = jnp.where(inside, left.x, Z.lo), jnp.where(inside, left.x, Z.hi)
         lean = jnp.max(mag(slope), 0) * wid(rest)  # smear: the variable that moves f most
+        # beside the whole domain: variables have different units
         whole = jnp.where(domain.hi > domain.lo, domain.hi * 0.5 - domain.lo * 0.5, 1)
         axis = jnp.argmax(jnp.where(jnp.all(jnp.isfinite(lean)), lean, wid(rest) / whole))
         return Verdicts(~left.out & ~proved, proved, proof, (rest.lo, rest.hi), axis)
@@ -256,6 +260,7 @@ def _right_inverse(J: jax.Array, scale: jax.Array) -> jax.Array:
     `scale`; zeros if there is none.
     """
     m, n = J.shape
+    # in units of the box: a long side may move farther
     scale = scale / jnp.max(scale)
     A = J * scale[None]
     if n == m:

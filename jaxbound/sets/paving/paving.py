@@ -212,6 +212,7 @@ def pave(
             one = partial(_image_meets, f)
         elif inner:
             one = partial(_inner, f)
+        # to exclude is one evaluation, to prove needs derivatives as well: fewer at once
         kernel, size = of_targets(one), EXCLUDED if solutions == "none" else BLOCK
 
         def judge(lo: np.ndarray, hi: np.ndarray, owner: np.ndarray) -> Verdicts[np.ndarray]:
@@ -338,6 +339,7 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
     for _ in range(3):
         said = Verdicts(*judged_in_blocks(kernel, lo, hi, owner))
         assert said.proved is not None and said.proof is not None
+        # a box that Newton moved may be proved again, and narrower
         smaller = said.proved & ((said.proof[1] - said.proof[0]).max(0) < (hi - lo).max(0))
         lo, hi = (np.where(smaller, new, old) for new, old in zip(said.proof, (lo, hi), strict=True))
     if solutions == "one":
@@ -359,6 +361,7 @@ def _distinct(proofs: Boxes, solutions: str, kernel: Kernel) -> Boxes:
 
 def _images(kernel: Kernel, m: int, boxes: Boxes) -> Interval:
     """Return the images (N, m) of boxes."""
+    # nothing is left, and no kernel takes no box
     if not len(boxes.owner):
         none = jnp.zeros((0, m), boxes.lo.dtype)
         return Interval(none, none)

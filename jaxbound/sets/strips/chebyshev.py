@@ -89,12 +89,14 @@ class _Search:
             if not pivoted.any():
                 break
             row = table[at, j]
+            # a rank-one change puts the unit vector into the place of the column
             row[at, s] -= 1
             row *= np.where(pivoted, 1 / np.where(pivoted, table[at, j, s], 1), 0)[:, None]
             table -= table[at, :, s][:, :, None] * row[:, None]
             self.P -= self.P[at, :, s][:, :, None] * row[:, None]
             own, row_of, slot = at[pivoted], j[pivoted], s[pivoted]
             self.S[own, slot] = telling[own, slot] = row_of
+            # a row tells one unknown, and an unknown is told by one row
             weight[own, row_of] = weight[own, :, slot] = 0
         return telling
 
@@ -132,6 +134,7 @@ class _Search:
         size = np.where(self.there, np.abs(error) / self.radius, -1)
         w = size.argmax(1)
         worst = size[at, w]
+        # no row is violated by more than the reference says: it is the optimum
         done = worst <= t + CLOSE * (1 + t)
         sign_w = np.sign(error[at, w])
         T_w = np.einsum("nj,nji->ni", self.rows[at, w], self.P)
@@ -152,6 +155,7 @@ class _Search:
         best = factor.max(1)
         near = factor >= (best * (1 - 64 * rounding.unit(np.float64)))[:, None]
         q = np.where(near, np.abs(T_w), -1).argmax(1)
+        # else the leader itself leaves: no row of the basis would raise t more
         swap = (best >= slope / (1 + np.abs(change).sum(1))) & ~done
         T_q, T_wq = T[at, q], T_w[at, q]
         by_w = np.abs(T_wq) * radius_e >= np.abs(T_q) * radius_w
@@ -170,6 +174,7 @@ class _Search:
         q = self.P.shape[1]
         basis = np.take_along_axis(self.rows, self.S[:, :, None], 1)
         good = np.isfinite(basis).all((1, 2))
+        # an inverse of a singular basis would be noise: the one that was carried stays
         good[good] = np.linalg.cond(basis[good], 1) < 1 / rounding.unit(np.float64)
         inverse = np.linalg.inv(np.where(good[:, None, None], basis, np.eye(q)))
         self.P = np.where(good[:, None, None], inverse, self.P)

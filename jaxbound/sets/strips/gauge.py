@@ -58,6 +58,7 @@ def gauge_search(
     )  # P G, and P: the inverse of the columns c and the generators or unit vectors of the basis
     places, columns, rows = (jnp.arange(n, dtype=jnp.int32)[:, None] for n in (r - 1, q + r, r))
     close, noise = 16 * rounding.unit(dtype) ** 0.75, 32 * rounding.unit(dtype)
+    # of h g_j: the side of the box at which each generator is largest
     signs = jnp.where(T[0, :q] < 0, -1, 1).astype(dtype)
     weight = jnp.zeros((r - 1, N), dtype)  # of a place in the basis: 0 as long as a unit vector holds it
 
@@ -70,6 +71,7 @@ def gauge_search(
         worth = jnp.where(weight > 0, steep - (1 + close), first) / many
         s, best = jnp.argmax(worth, 0).astype(jnp.int32), jnp.max(worth, 0)
         row, turn = _row(T, s + 1) / many, _pick(slope, s) / one
+        # the slope along the edge is used up by generators whose sign turns on the way
         need = 0.5 * (1 - close) * (jnp.abs(turn) - _pick(weight, s)) / one
         edge, size = row[:q], jnp.abs(row[:q])
         crosses = (signs * edge * turn[None] > 0) & (size > noise)
@@ -108,6 +110,7 @@ def gauge_search(
     h = jnp.where(flat[None], 0, T[0, q:])
     width = summed(jnp.abs, summed(lambda x, row: x[None] * row, h, G) / many)
     t = jnp.where(width > 0, 1 / jnp.where(width > 0, width, 1), 0)[None]
+    # where nothing is gained any more, signs times t give the point of the gauge
     z = -t * signs
     for k in range(r - 1):  # slopes are those of where the last step began: what is done did not move in it
         z = jnp.where((columns[:q] == ids[k][None]) & (weight[k] > 0)[None], t * slope[k][None], z)

@@ -76,6 +76,7 @@ def strips_of(exact_h: Rows, exact_k: Rows, unrolled: int = UNROLLED) -> Strips:
         of_inputs.append([rounding.fraction_to_float(x) for x in k])
     known = np.array(of_inputs).reshape(len(rows), -1)
     supports = inputs = None
+    # static supports: each is code of its own
     if len(rows) <= unrolled:
         supports = tuple(map(tuple, rows))
         inputs = tuple(tuple(np.flatnonzero(row).tolist()) for row in known)
@@ -123,6 +124,7 @@ def strip_verdict(
         lift: at least every factor that multiplied a row after its own rounding (scalar).
     """
     gamma, least = rounding.residual_error(strips.h.shape[1] + strips.k.shape[1], mid[0].dtype)
+    # what underflowed in a row is multiplied by what multiplies the row (lift), and by its coefficient
     floor = least * (1 + jnp.max(jnp.abs(strips.h))) * lift
 
     def step(gauge, strip):
@@ -161,6 +163,7 @@ def _one(strip, mid, rad, scale, known, known_scale):
         residual += h[a] * mid[i]
         width += size * rad[i]
         magnitude += size * scale[i]
+    # many inputs in a loop, which compiles once for all of them
     if k.shape[0] > FEW:
         return residual - _driven(k, known), width, magnitude + _driven(jnp.abs(k), known_scale)
     for b in range(k.shape[0]):  # a missing value counts only where it is used

@@ -46,9 +46,11 @@ def farthest(c: jax.Array, G: jax.Array, error: jax.Array) -> tuple[jax.Array, j
     """
     r, q = G.shape[:2]
     size = jnp.abs(c) + jnp.sum(jnp.abs(G), 1)
+    # rows of one size: the search compares entries of different rows
     size = jnp.where(size > 0, size, 1)
     h, z, _ = gauge_search(c / size, G / size[:, None], jnp.ones_like(c[0]))
     h = h / size
+    # a flat set has a strip without a width, which a search by vertices may miss
     if q <= GENERATORS.get(r, 0):
         other = strip(c, G, error)
         h = jnp.where(refutes(c, G, error, other) < refutes(c, G, error, h), other, h)
@@ -88,6 +90,7 @@ def _normals(G: jax.Array) -> jax.Array:
     if r == 2:
         return jnp.concatenate([axes, jnp.stack([-G[1], G[0]])], 1)
     i, j = np.triu_indices(q + 3, 1)
+    # axes too: of a flat set no generators span the plane
     vectors = jnp.concatenate([G, axes], 1)
     a, b = vectors[:, i], vectors[:, j]
     return jnp.stack([a[m - 2] * b[m - 1] - a[m - 1] * b[m - 2] for m in range(3)])
@@ -117,6 +120,7 @@ def refutes(c: jax.Array, G: jax.Array, error: jax.Array, h: jax.Array) -> jax.A
     r, q = G.shape[:2]
     gamma, floor = rounding.product_error(q + 2 * r + 8, c.dtype)
     E = (1 + 2 * gamma) * error + gamma * (jnp.abs(c) + summed(jnp.abs, G, axes=(1,))) + floor
+    # h, c and G may be tiny: products of them are 0 in floats, and something in truth
     flushed = (
         rounding.product_error((q + 1) * r * r, c.dtype)[1]
         * (1 + jnp.max(jnp.abs(h), 0))
@@ -138,8 +142,10 @@ def right_inverse(J: jax.Array, z: jax.Array) -> jax.Array:
     Args: J (r, q, N), z (q, N).
     """
     r, q = J.shape[:2]
+    # a variable at its bound has nowhere to go, and takes no part
     room = jnp.maximum(1 - jnp.abs(z), 0)
     size = jnp.sum(jnp.abs(J) * room[None], 1)
+    # rows of J of one size: the sum of products is then well conditioned
     scale = 1 / jnp.where(size > 0, size, 1)
     K = J * scale[:, None]
     gram = total((K[:, i] * room[i][None])[:, None] * K[:, i][None] for i in range(q))

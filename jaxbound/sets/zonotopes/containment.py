@@ -60,6 +60,7 @@ def _climbed(image: proof.Image[Array], D: Array) -> tuple[Any, Any, Any, Any]:
 
     def climb(state):
         l, best, corner, least, going = state
+        # the corner farthest along l: each generator on the side that l sees
         turns = xp.where(product(l, D.swapaxes(1, 2)) < 0, -1, 1).astype(dtype)
         far = xp.where(going[:, None, None], product(turns, D), np.nan)
         z = product(far, image.R.swapaxes(1, 2))
@@ -68,6 +69,7 @@ def _climbed(image: proof.Image[Array], D: Array) -> tuple[Any, Any, Any, Any]:
         reach = proof.gauge_above(image, far, l, off)
         at = reach.argmax(1)[:, None]
         top = xp.take_along_axis(reach, at, 1)[:, 0]
+        # by more than rounding: else a climb could go in a circle
         better = top > least * (1 + 2.0**-20)
         chosen = lambda new, old: xp.where(
             better[:, None, None], xp.take_along_axis(new, at[..., None], 1), old
@@ -75,6 +77,7 @@ def _climbed(image: proof.Image[Array], D: Array) -> tuple[Any, Any, Any, Any]:
         least = xp.where(better, top, least)
         return l, chosen(l, best), chosen(far, corner), least, better & ~(top > 1)
 
+    # the same directions for every set: an answer does not depend on its place in a batch
     fixed: np.ndarray = np.concatenate(
         [np.eye(m)[:STARTS], np.random.default_rng(0).normal(size=(STARTS, m))]
     )

@@ -30,6 +30,7 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.intervals.comparisons import contains as contains_number
+from jaxbound.sets.intervals.comparisons import subset
 from jaxbound.sets.intervals.interval import Interval, interval, mid, rad
 from jaxbound.sets.zonotopes import certificate, gauges, kernels, proof
 from jaxbound.sets.zonotopes.constrained import AnySet, ConstrainedZonotope
@@ -129,15 +130,15 @@ class Decision:
 
 @singledispatch
 def contains(
-    Z: AnySet | Interval, inner: AnySet | ArrayLike
+    Z: AnySet | Interval, inner: AnySet | Interval | ArrayLike
 ) -> Any:  # a Decision, or of an Interval an array of bool
     """Decide whether a set holds points, or a whole zonotope.
 
     Args:
         Z: a Zonotope or ConstrainedZonotope of n dimensions, or a batch of them with leading axes (...); an
             Interval.
-        inner: points (..., N, n), any number of axes after those of the batch, or a Zonotope (with the same
-            leading axes).
+        inner: points (..., N, n), any number of axes after those of the batch, or a Zonotope or an Interval
+            (with the same leading axes).
 
     Returns:
         A Decision with an answer a point, or a set. Its margin points in the answer's direction and does not
@@ -145,8 +146,8 @@ def contains(
             are worked out by `membership`. For a zonotope the
         condition for YES is sufficient, not necessary: what is neither that nor NO stays UNDECIDED unless the
             facets of Z are few.
-        For an Interval: an array of bool, IEEE 1788 isMember. Inside jit and vmap: the same answer or
-            UNDECIDED, without certificate.
+        For an Interval: an array of bool, IEEE 1788 isMember, or subset of another one. Inside jit and vmap:
+            the same answer or UNDECIDED, without certificate.
 
     Raises:
         ValueError: shapes that do not fit, NaN or infinity.
@@ -164,17 +165,21 @@ def contains(
     )
 
 
-contains.register(Interval, contains_number)
+@contains.register(Interval)
+def _(Z: Interval, inner: AnySet | Interval | ArrayLike) -> Decision | jax.Array:
+    if isinstance(inner, Interval):
+        return subset(inner, Z)
+    if isinstance(inner, Zonotope | ConstrainedZonotope):
+        return _contains_set(Z, inner)
+    return contains_number(Z, inner)
 
 
 @contains.register(Zonotope)
 @contains.register(ConstrainedZonotope)
-def _(Z: AnySet, inner: AnySet | ArrayLike) -> Decision:
-    return (
-        _contains_set(Z, inner)
-        if isinstance(inner, (Zonotope, ConstrainedZonotope))
-        else _contains_points(Z, inner)
-    )
+def _(Z: AnySet, inner: AnySet | Interval | ArrayLike) -> Decision:
+    if isinstance(inner, Zonotope | ConstrainedZonotope | Interval):
+        return _contains_set(Z, inner)
+    return _contains_points(Z, inner)
 
 
 def _contains_points(Z: AnySet, points: ArrayLike) -> Decision:
@@ -206,7 +211,7 @@ def _contains_points(Z: AnySet, points: ArrayLike) -> Decision:
     return _decide(question, lead, Answer.YES, off)
 
 
-def _contains_set(Z: AnySet, inner: AnySet) -> Decision:
+def _contains_set(Z: AnySet | Interval, inner: AnySet | Interval) -> Decision:
     """Decide whether a set holds a whole zonotope: see `contains`."""
     outer, inside = numbers(Z, inner)
     if inside[3].shape[-1]:
@@ -226,7 +231,7 @@ def _contains_set(Z: AnySet, inner: AnySet) -> Decision:
     return _decide(question, batch, Answer.YES)
 
 
-def is_empty(Z: AnySet) -> Decision:
+def is_empty(Z: AnySet | Interval) -> Decision:
     """Decide whether a constrained zonotope is empty.
 
     Args:
@@ -246,7 +251,7 @@ def is_empty(Z: AnySet) -> Decision:
     return _decide(Question("is_empty", (flat(sets, batch),), None), batch, meets=Answer.NO)
 
 
-def intersects(X: AnySet, Y: AnySet) -> Decision:
+def intersects(X: AnySet | Interval, Y: AnySet | Interval) -> Decision:
     """Decide whether two zonotopes or constrained zonotopes have a point in common.
 
     Args:
@@ -297,7 +302,7 @@ class Separation:
     point: np.ndarray | jax.Array
 
 
-def separate(X: AnySet, Y: AnySet) -> Separation:
+def separate(X: AnySet | Interval, Y: AnySet | Interval) -> Separation:
     """Find a hyperplane between two sets, or a point that they share.
 
     Args:
@@ -313,6 +318,7 @@ def separate(X: AnySet, Y: AnySet) -> Separation:
         array([ True])
     """
     (first, second), meet = numbers(X, Y), intersects(X, Y)
+    # one question, two names: what separates is what proves that they do not meet
     apart = Decision(-meet.answer, -meet.margin, meet.question, meet.direction, meet.point)
     (c, G, A, b), (c2, G2, A2, b2) = first, second
     xp, n, k, q = proof.library(c), c.shape[-1], b.shape[-1], G.shape[-1]
@@ -342,6 +348,7 @@ def _reach(l: Pair, e: Pair, W: Pair) -> np.ndarray | jax.Array:
     sides, middle, rows = xp.concatenate(l, -1), xp.concatenate(e, -1), xp.concatenate(W, -2)
     (m, q), dot = rows.shape[-2:], lambda v, w: (v * w).sum(-1)
     gamma, floor = rounding.product_error(m + q + 4, rows.dtype)
+    # entries of l are at most 1, so that these magnitudes hold all that is summed
     size = abs(middle) + abs(rows).sum(-1)
     error = gamma * dot(abs(sides), size) + floor * 2 * (1 + q) * (1 + size.max(-1, initial=0))
     return dot(sides, middle) + abs((sides[..., None, :] @ rows)[..., 0, :]).sum(-1) + error

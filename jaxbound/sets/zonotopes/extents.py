@@ -51,18 +51,20 @@ def support(S: AnySet, direction: Operand) -> jax.Array:
     return _support_along(S, d)
 
 
-def interval_hull(S: AnySet) -> Interval:
+def interval_hull(S: AnySet | Interval) -> Interval:
     """Return a box around S, an Interval (n,): the smallest one but for rounding of a Zonotope, nearly so
     with constraints. Of a set that is proved empty on the way it is empty.
 
     Args:
-        S: a Zonotope or ConstrainedZonotope of n coordinates.
+        S: a Zonotope or ConstrainedZonotope of n coordinates; an Interval is its own.
 
     Example:
         >>> from jaxbound import sets
         >>> sets.interval_hull(sets.zonotope([1.0, 2.0], [[1.0, 3.0], [2.0, 4.0]])).hi
         Array([5., 8.], dtype=...)
     """
+    if isinstance(S, Interval):
+        return S
     dimension(S)
     return _interval_hull(S)
 

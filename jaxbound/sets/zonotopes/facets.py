@@ -19,6 +19,7 @@ from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.floats.probe import refuse_unverified
 from jaxbound.sets.zonotopes import gauges, kernels
+from jaxbound.sets.zonotopes.constrained import exact
 from jaxbound.sets.zonotopes.questions import numbers
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
@@ -52,13 +53,14 @@ def strips(Z: Zonotope) -> tuple[np.ndarray, np.ndarray]:
         [([0.0, 1.0], 1.0), ([1.0, -1.0], 1.0)]
     """
     found = exact_strips(Z)
-    n = Z.center.shape[0]
+    n = len(found[0][0])
     normals = np.array([[float(x) for x in normal] for normal, _ in found]).reshape(-1, n)
     return normals, np.array([float(w) for _, w in found])
 
 
 def exact_strips(Z: Zonotope) -> list[tuple[list[Fraction], Fraction]]:
     """Return [(normal, half-width)] as exact numbers."""
+    Z = cast(Zonotope, exact(Z))
     if isinstance(Z.generators, jax.core.Tracer):
         raise TypeError("strips need concrete generators: build them outside jit, grad and vmap")
     refuse_infinite(center=Z.center, generators=Z.generators)
@@ -139,6 +141,7 @@ def membership(Z: Zonotope, points: ArrayLike) -> np.ndarray | jax.Array:
         array([ 0.5, -0.5]...)
     """
     refuse_unverified(Z, points)
+    Z = cast(Zonotope, exact(Z))
     points = points if isinstance(points, jax.Array) else np.asarray(points)
     n = Z.center.shape[0]
     if points.ndim != 2 or points.shape[1] != n:

@@ -105,6 +105,7 @@ def _projected(
         2 * x - z,
         search.towards_point(image.M, image.R, d, z, l),
     )  # beyond the nearest point of the box, as far
+    # whichever of the two is nearer to the box is the better candidate
     x = np.where((abs(x).max(2, initial=0) < abs(far).max(2, initial=0))[..., None], x, far)
     found.take((np.ogrid[: len(d), :1][0], np.ogrid[:1, : d.shape[1]][1]), image, d, l, x)
     left = found.left(False) & some
@@ -132,6 +133,7 @@ def _optima(
         else:
             l, x = (np.array(v) for v in zip(*map(search.program, some.M, each), strict=True))
         each, x = each[:, None], x[:, None]
+        # the optimum of a search in floats misses the equations a little: moved onto them
         x = x + proof.product(each - proof.product(x, some.M.swapaxes(1, 2)), some.R.swapaxes(1, 2))
         found.take(at, some, each, l[:, None], x)
 

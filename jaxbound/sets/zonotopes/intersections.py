@@ -40,8 +40,8 @@ def intersection(
     common Interval.
 
     Args:
-        S: a Zonotope or ConstrainedZonotope of n coordinates (or an Interval: IEEE 1788 intersection, no
-            matrix).
+        S: a Zonotope or ConstrainedZonotope of n coordinates, or an Interval (with another one and no matrix:
+            IEEE 1788 intersection).
         Y: a set of r coordinates: a Zonotope, a ConstrainedZonotope, or an Interval (r,): strips, half-spaces
             where a bound is infinite or NaN, nothing where it is empty (for `is_empty` to prove).
             A measurement y = M p + v, v in V: Y = translate(scale(V, -1.0), y).
@@ -65,11 +65,11 @@ def intersection(
         >>> sets.intersection(box, sets.interval([0.5], [2.0]), [[1.0, 1.0]]).constraints.round(3)
         Array([[ 1.  ,  1.  , -0.75]], dtype=...)
     """
-    if matrix is not None:
-        raise TypeError(
-            f"a matrix maps a Zonotope or a ConstrainedZonotope, not {type(S).__name__}: use from_interval"
-        )
-    return interval_intersection(cast(Interval, S), cast(Interval, Y))
+    if matrix is None and isinstance(Y, Interval):
+        return interval_intersection(cast(Interval, S), Y)
+    if matrix is None:
+        return intersection(Y, S)
+    return intersection(Zonotope(*parts(S)[:2]), Y, matrix)
 
 
 @intersection.register(Zonotope)
@@ -147,6 +147,8 @@ def strip_intersection(Z: Zonotope, Y: Interval, matrix: Operand, gain: ArrayLik
 
     Source: Alamo, Bravo, Camacho 2005 (one strip); Combastel 2015, Wang, Puig, Cembrano 2018 (several).
     """
+    if isinstance(Z, Interval):
+        Z = Zonotope(*parts(Z)[:2])
     if not isinstance(Z, Zonotope):
         raise TypeError(
             f"strip_intersection takes a Zonotope, not {type(Z).__name__}: use intersection, which is exact"

@@ -294,7 +294,7 @@ def convex_hull(Z: Zonotope, Y: Zonotope) -> Zonotope:
     Source: Girard 2005, section 3.
     """
     for S in (Z, Y):
-        if not isinstance(S, Zonotope):
+        if not isinstance(S, Zonotope | Interval):
             raise TypeError(
                 f"the hull of two Zonotopes is enclosed, not of {type(S).__name__}: eliminate its "
                 f"constraints first"

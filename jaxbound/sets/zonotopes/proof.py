@@ -148,8 +148,10 @@ def _right_inverse(M: np.ndarray) -> np.ndarray:
     R, bad = np.zeros((S, q, m)), np.ones(S, bool)
     with np.errstate(all="ignore"):
         if m <= q:
+            # the normal equations: far sooner solved than the singular values of a pseudo-inverse are found
             R = turned @ _solved(M @ turned, np.broadcast_to(np.eye(m), (S, m, m)))
             R = 2 * R - R @ (M @ R)  # a Newton step: what is lost by squaring the condition
+            # a rank that rounding hides, or none: `measured` will say what it is worth
             bad = ~(abs(M @ R - np.eye(m)).sum(2).max(1) < 2.0**-10)
         if bad.any():
             R[bad] = np.linalg.pinv(M[bad])
@@ -200,6 +202,7 @@ def gauge_below(
     with np.errstate(all="ignore"):
         size = largest_size(x, 2)[..., None]
         error = gamma * (size * image.sums[:, None] + abs(d)) + floor * 2 * (1 + size) + off
+        # what the point misses the target by, and what rounding may hide of it
         short = abs(d - product(x, image.M.swapaxes(1, 2))) + error
         left = largest_size(short, 2) / (1 - image.loss[:, None]) * more(d)
         sizes, far = abs(x) + image.reach[:, None] * left[..., None], largest_size(d, 2)
@@ -214,6 +217,7 @@ def gauge_below(
 def unscaled(l: Array, powers: Array) -> Array:
     """Return directions (S, N, m), of entries of at most 1, for the rows as they were given."""
     xp, some = library(l), l != 0
+    # rows were scaled by powers of two: a multiplier is scaled the other way
     top = xp.where(some, powers[:, None], -np.inf).max(2, initial=-np.inf, keepdims=True)
     shift = xp.where(some, powers[:, None] - top, 0)
     if xp is jnp:

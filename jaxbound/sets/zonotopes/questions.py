@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.equations import is_traced
-from jaxbound.sets.zonotopes.constrained import AnySet, parts
+from jaxbound.sets.intervals.interval import Interval
+from jaxbound.sets.zonotopes.constrained import AnySet, exact, parts
 from jaxbound.sets.zonotopes.kernels import settled
 from jaxbound.sets.zonotopes.proof import library
 
@@ -86,11 +87,11 @@ class Question:
 _fractions = np.vectorize(Fraction, otypes=[object])
 
 
-def numbers(*sets: AnySet, points: ArrayLike | None = None) -> list[Parts]:
+def numbers(*sets: AnySet | Interval, points: ArrayLike | None = None) -> list[Parts]:
     """Return (c, G, A, b) of each set: in float64 on the host, exactly; of one dtype if some of them, or the
     points, are inside jit.
     """
-    found = [parts(S) for S in sets]
+    found = [parts(exact(S)) for S in sets]
     if not is_traced(found, points):
         return [
             (np.asarray(c, float), np.asarray(G, float), np.asarray(A, float), np.asarray(b, float))

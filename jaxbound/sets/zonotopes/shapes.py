@@ -10,6 +10,7 @@ from fractions import Fraction
 from functools import partial
 from itertools import combinations
 from math import comb, prod
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +22,7 @@ from jaxbound.random.keys import key_of
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.floats.equations import is_traced
 from jaxbound.sets.zonotopes import kernels
-from jaxbound.sets.zonotopes.constrained import AnySet, parts
+from jaxbound.sets.zonotopes.constrained import AnySet, exact, parts
 from jaxbound.sets.zonotopes.facets import exact_strips, exactly
 from jaxbound.sets.zonotopes.zonotope import Zonotope, refuse_infinite
 
@@ -111,6 +112,7 @@ def _touched(c: np.ndarray, G: np.ndarray, A: np.ndarray, b: np.ndarray) -> np.n
     first, last = (farthest(np.array([s, 0.0])) for s in (1, -1))
     if first is None or last is None:
         return np.zeros((0, 2))
+    # below this two corners are one: a linear program is right to about that
     size = 1e-9 * (abs(c).max() + abs(G).sum())
 
     def between(p, r):
@@ -162,6 +164,7 @@ def volume(Z: Zonotope) -> float:
     """
     if is_traced(Z):
         raise TypeError("a volume is worked out from concrete numbers: ask outside jit, grad and vmap")
+    Z = cast(Zonotope, exact(Z))
     refuse_infinite(center=Z.center, generators=Z.generators)
     n, q = Z.generators.shape
     if comb(q, n) > DETERMINANTS:
@@ -213,6 +216,7 @@ def _walked(A: jax.Array, b: jax.Array, key: jax.Array, count: int) -> jax.Array
         key, one, two = jax.random.split(key, 3)
         g = jax.random.normal(one, x.shape, x.dtype)
         v = g - R @ (A @ g)
+        # an entry that is rounding alone would stop the walk at a side of the box
         v = jnp.where(jnp.abs(v) > noise * jnp.max(jnp.abs(g)), v, 0)
         to = lambda end: jnp.where(v != 0, (end * jnp.sign(v) - x) / jnp.where(v != 0, v, 1), end * jnp.inf)
         most, least = jnp.min(to(1)), jnp.max(to(-1))
@@ -245,6 +249,7 @@ def minkowski_difference(Z: Zonotope, Y: Zonotope) -> Zonotope | None:
         >>> minkowski_difference(sets.zonotope([0.0], [[3.0]]), sets.zonotope([0.0], [[1.0]])).generators
         Array([[2.]], dtype=...)
     """
+    Z, Y = (cast(Zonotope, exact(S)) for S in (Z, Y))
     (n,), (m,) = Z.center.shape, Y.center.shape
     if n != m:
         raise ValueError(f"the sets must have one dimension: they have {n} and {m} coordinates")
@@ -311,6 +316,7 @@ def _rounded_inward(
     """Return the Zonotope of floats near (middle, edges), shrunk until it lies within the strips; None if no
     float lies within.
     """
+    # the middle is off by its rounding, and strips are that much narrower
     center = np.array([rounding.fraction_to_float(x, dtype) for x in middle])
     off = [Fraction(float(x)) - y for x, y in zip(center, middle, strict=True)]
     room = [width - abs(linalg.dot(normal, off)) for normal, width in strips]
@@ -327,4 +333,5 @@ def _rounded_inward(
         if all(t <= r for t, r in zip(taken, room, strict=True)):
             return Zonotope(jnp.asarray(center), jnp.asarray(G))
         worst = min((r / t for t, r in zip(taken, room, strict=True) if t > r))
+        # a little more than what is asked for, so that the loop ends
         shrink *= worst * (1 - Fraction(1, 2**20 if dtype == np.float32 else 2**49))

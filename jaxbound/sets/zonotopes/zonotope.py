@@ -44,12 +44,14 @@ def zonotope(center: ArrayLike, generators: ArrayLike) -> Zonotope:
         generators: G (..., n, q), a column each.
 
     Raises:
-        ValueError: shapes that do not fit, NaN or infinity.
+        ValueError: shapes that do not fit, NaN or infinity. TypeError: an Interval.
 
     Example:
         >>> zonotope([0.0, 0.0], [[1.0, 0.0], [0.0, 1.0]]).generators.shape
         (2, 2)
     """
+    if isinstance(center, Interval) or isinstance(generators, Interval):
+        raise TypeError("a zonotope is made of numbers: from_interval makes one of an Interval")
     center, generators = np.asarray(center), np.asarray(generators)
     if (
         center.ndim < 1

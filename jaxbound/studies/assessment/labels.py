@@ -12,6 +12,7 @@ import numpy as np
 from jaxbound.recordings.csvtext import sniff
 from jaxbound.recordings.read import read
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import RECORDING
 from jaxbound.recordings.signals import SignalModel, Signals
 from jaxbound.studies.assessment.truth import HEALTHY_WORDS, UNNAMED
 
@@ -32,7 +33,8 @@ def column_labels(path: object, model: SignalModel, column: str) -> np.ndarray:
     Raises:
         OSError, ValueError: no such file or column.
     """
-    settings = {name: model.columns[name] for name in ("time", "where", "every") if name in model.columns}
+    read_by = ("time", "where", "every", RECORDING)
+    settings = {name: model.columns[name] for name in read_by if name in model.columns}
     return _read(path, column, settings, model.dt, _signals(model))[1]
 
 

@@ -17,6 +17,8 @@ WIDE, CONTRADICTION, FEW = 1.5, 3.0, 10
 """Above this factor that a recording asks for that is left out, this factor between the bounds of two
 recordings, below this number of windows that do not overlap, the user is told that the data do not carry the
 monitor."""
+ALIKE = 0.75
+"""Share of the spread within recordings up to which their means differ where they are alike."""
 SEVERAL = "give each as a file of its own, jaxbound fit one.csv two.csv .., fit([one, two])"
 SHOWN = "--plot fit.png, plot(model)"
 
@@ -162,17 +164,32 @@ def _left_out(model: LinearSystem, check: FitCheck, held_out: float) -> Iterator
                 f"{what} {number} says nothing of another day: {one.why}; record more, or cut a long "
                 f"recording into files, and {SEVERAL}"
             )
-    if check.factor > WIDE:
-        yield wide(check, check.factor)
+    factor = _largest(check)
+    if factor > WIDE:
+        yield (
+            f"a {what} that is left out needs bounds {factor:.2f} times as wide as all together: they "
+            f"do not show all of healthy operation; record more of it, or look at what was different, {SHOWN}"
+        )
 
 
-def wide(check: FitCheck, factor: float) -> str:
-    """Return the sentence on what was left out and needs wider bounds by a factor."""
-    what = "block" if len(check.recordings) == 1 else "recording"
-    return (
-        f"a {what} that is left out needs bounds {factor:.2f} times as wide as all together: they "
-        f"do not show all of healthy operation; record more of it, or look at what was different, {SHOWN}"
-    )
+def _largest(check: FitCheck) -> float:
+    """Return the largest factor that a part asks for; 1 where none is known."""
+    return max((one.factor for one in check.left_out if not one.why), default=1.0)
+
+
+def alike(records: Records, inputs: Sequence[str], check: FitCheck) -> Iterator[str]:
+    """Yield a sentence where several recordings ask for nothing, left out, and are at one operating point."""
+    if len(records) < 2 or not inputs or _largest(check) > WIDE:
+        return
+    means, within = [], []
+    for u, _, _ in records:
+        means.append(np.nanmean(u, axis=0))
+        within.append(np.nanstd(u, axis=0))
+    if (np.ptp(means, axis=0) <= ALIKE * np.mean(within, axis=0)).all():
+        yield (
+            f"the {len(records)} recordings are alike, every input is about the same on average: what a day "
+            f"unlike them asks for, a cold one or of another load, is unknown; record one, and {SEVERAL}"
+        )
 
 
 def _disagreement(check: FitCheck) -> str:

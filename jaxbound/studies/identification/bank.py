@@ -1,18 +1,21 @@
 """Several tests from one fit: a monitor whose tests see what the others miss.
 
-The test that sees the smallest errors comes first, see `window_tests`. Each further one earns its place: it
-sees a jump or a lasting error of some output from clearly smaller sizes on than all tests before it, under
-bounds as wide as recordings that are left out ask of it: a jump, an error that lasts, or a ramp. A set
+The test that sees the smallest errors comes first, see `window_tests`. Each further one earns its place:
+beside those before it a jump, a lasting error or a ramp of some output is seen from clearly smaller sizes on,
+under bounds as wide as recordings that are left out ask of all of them together. One factor widens the bounds
+of all tests, so none is kept because its own was small by luck. A set
 observer is tried beside the windows where one is asked for, or bounds of disturbances; it is latched, so that
 a lasting error stays a FAULT. A short test also earns its place where a long one has no verdict on many
 samples. Each test has the coefficients and the bounds of a fit of its own.
 """
 
 import dataclasses
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from operator import itemgetter
 from typing import Any
+
+import numpy as np
 
 from jaxbound.estimation.methods import ObserverMethod, observer_method
 from jaxbound.models.modelchanges import changes_between
@@ -20,13 +23,14 @@ from jaxbound.models.modelfile import model_document, model_text
 from jaxbound.models.statedtests import StatedTest, stated_tests
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of
-from jaxbound.studies.identification.advice import WIDE, blind, wide
+from jaxbound.studies.identification.advice import blind
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.orders import settled
 from jaxbound.studies.identification.recipe import AUTO, Recipe
-from jaxbound.studies.identification.search import fitted
+from jaxbound.studies.identification.search import Unwritten, fitted, unwritten
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trajectories import SETTLED, SMALLER, GivenUp, sure_sizes
+from jaxbound.studies.identification.trial import factor_of, largest_of
 from jaxbound.studies.identification.window_tests import (
     RAMP,
     JudgedTest,
@@ -58,63 +62,81 @@ def fitted_bank(
     plain = settled(training, plain)
     tried = tried_tests(training, plain, partial(in_part, report, 0.0, 0.25))
     tests = [one.judged for one in tried]
-    of_windows = {one.judged.window: one for one in tried}
+    of_windows = {(one.judged.window, one.judged.method): one for one in tried}
 
-    def fit_for(test: JudgedTest, begin: float, share: float, sentences: Sequence[str] = ()) -> Fitted:
-        """Return the fit for the windows of a test; put what it sees beyond complete ones into `tests`."""
-        known, own = of_windows[test.window], plain.of(test.window, test.method)
-        model = fitted(training, own, known, sentences, partial(in_part, report, begin, share))
-        if not known.complete:
-            tests[tests.index(test)] = model.check.of(test)
-        return model
+    def fit_for(test: JudgedTest, begin: float, share: float, sentences: Sequence[str] = ()) -> Unwritten:
+        """Return the fit for the windows of a test."""
+        known, own = of_windows[test.window, test.method], plain.of(test.window, test.method)
+        return unwritten(training, own, known, sentences, partial(in_part, report, begin, share))
 
-    base = fit_for(best_test(tests), 0.25, 0.15, sentences)
-    check = base.check
+    best = best_test(tests)
+    windows = fit_for(best, 0.25, 0.15, sentences)
     if asked.test == AUTO:
+        alone = windows.written()
         report(1.0)
-        return Fitted(base, dataclasses.replace(check, tests=tuple(tests)))
+        return Fitted(alone, _listing(alone.check, tests, [alone.check.of(best)]))
     observer = asked.observing
     if asked.disturbances is not None and observer is None:
         observer = observer_method("joint")
-    if asked.is_open and observer is None and all(math.isnan(one.factor) for one in check.left_out):
-        return fitted(training, asked, None, sentences, partial(in_part, report, 0.4, 0.6))
-    watched: Fitted | None = None
+    if asked.is_open and observer is None and not np.isfinite(windows.trial.own).any():
+        return fitted(training, asked, sentences, partial(in_part, report, 0.4, 0.6))
+    if not windows.complete:  # windows that lack samples may see less
+        tests[tests.index(best)] = best = windows.written().check.of(best)
+    watched: Unwritten | None = None
+    notes: list[str] = []
     if observer is not None:
         own = dataclasses.replace(plain, observer=observer, disturbances=asked.disturbances, see=asked.faults)
-        own = dataclasses.replace(own, method=check.method)
-        watched = fitted(training, own, None, (), partial(in_part, report, 0.4, 0.3))
+        own = dataclasses.replace(own, method=best.method)
+        watched = unwritten(training, own, None, (), partial(in_part, report, 0.4, 0.3))
         try:
-            tests.append(_judged(watched, observer))
+            tests.append(_judged(watched.written(), observer))
         except GivenUp as end:
-            why = f"the observer is none of the tests: nothing says what it would see, {end}; {SMALLER}"
-            check = _saying(check, why)
-    picked = earned(tests)
-    is_watched = any(test.window.observer is not None for test in picked)
-    if asked.disturbances is not None and not is_watched:
-        why = (
+            notes.append(
+                f"the observer is none of the tests: nothing says what it would see, {end}; {SMALLER}"
+            )
+    picked = earned(tests, training.days, training.span_of)
+    if asked.disturbances is not None and all(test.window.observer is None for test in picked):
+        notes.append(
             "the bounds of disturbances are left out: windows alone see errors about as small; a fit for the "
             "observer alone has them, --recipe observer=joint,disturbances=auto"
         )
-        check = _saying(check, why)
-    stated = [StatedTest(picked[0].window.text)]
-    share = 0.3 / len(picked)
+    fits = [windows]
     for number, test in enumerate(picked[1:]):
-        name, jump, steady = test.window.text, test.jump, test.steady
-        if watched is not None and observer is not None and test.window.observer is not None:
-            stated.append(test_as_fitted(base, _beside(base, watched), name, _options(observer)))
-            more = [f"test {name!r}: {x}" for x in watched.check.sentences if x not in check.sentences]
-            check = dataclasses.replace(_saying(check, *more), tradeoff=watched.check.tradeoff)
+        if watched is not None and test.window.observer is not None:
+            fits.append(watched)
         else:
-            model = fit_for(test, 0.7 + number * share, share)
+            fits.append(fit_for(test, 0.7 + 0.2 * number / len(picked), 0.2 / len(picked)))
+    models = [fit.written(fits) for fit in fits]
+    base = models[0]
+    check, stated = _saying(base.check, *notes), [StatedTest(best.window.text)]
+    taken = [base.check.of(best)]
+    for test, model in zip(picked[1:], models[1:], strict=True):
+        name = test.window.text
+        if observer is not None and test.window.observer is not None:
+            taken.append(test.times(model.check.factor / test.factor))
+            stated.append(test_as_fitted(base, _beside(base, model), name, observer_fields(observer)))
+            more = [f"test {name!r}: {x}" for x in model.check.sentences if x not in check.sentences]
+            check = dataclasses.replace(_saying(check, *more), tradeoff=model.check.tradeoff)
+        else:
+            taken.append(model.check.of(test))
             stated.append(test_as_fitted(base, model, name))
-            jump, steady = model.check.jump, model.check.steady
-            if model.check.factor > WIDE:
-                check = _saying(check, f"test {name!r}: {wide(check, model.check.factor)}")
-        check = _with_sizes(base, check, jump, steady)
+        check = _with_sizes(base, check, taken[-1].jump, taken[-1].steady)
     report(1.0)
     if len(stated) == 1:  # the windows of the model
         stated = []
-    return Fitted(base.replace(tests=stated), dataclasses.replace(check, tests=tuple(tests)))
+    return Fitted(base.replace(tests=stated), _listing(check, tests, taken))
+
+
+def _listing(check: FitCheck, tests: Sequence[JudgedTest], taken: Sequence[JudgedTest]) -> FitCheck:
+    """Return the check with the tests that were tried, one of each windows: that which is taken, else the
+    best.
+    """
+    shown: dict[WindowChoice, JudgedTest] = {}
+    for test in tests:  # in the order in which they were tried
+        shown[test.window] = best_test([test, shown.get(test.window, test)])
+    for test in taken:
+        shown[test.window] = test
+    return dataclasses.replace(check, tests=tuple(shown.values()))
 
 
 def _saying(check: FitCheck, *sentences: str) -> FitCheck:
@@ -141,10 +163,13 @@ def _judged(fitted: Fitted, method: ObserverMethod) -> JudgedTest:
     window = WindowChoice(0, observer=method.name)
     kind, never = check.method, float("inf")
     # never the best: windows are the model of the file, which verbs that take one test need
-    return JudgedTest(window, kind, check.factor, check.smallest, {}, jump, lasting, never, ramp)
+    asked = tuple(one.factor for one in check.left_out)
+    return JudgedTest(
+        window, kind, check.factor, check.smallest, {}, jump, lasting, never, ramp, left_out=asked
+    )
 
 
-def _options(method: ObserverMethod) -> dict[str, Any]:
+def observer_fields(method: ObserverMethod) -> dict[str, Any]:
     """Return the fields of a test by an observer: latched, and what is not as usual of its method."""
     options: dict[str, Any] = {"observer": method.name, "latched": True}
     usual = type(method)()
@@ -162,33 +187,46 @@ def _beside(base: LinearSystem, watched: LinearSystem) -> LinearSystem:
     return watched.replace(horizon=base.horizon, left_out=left_out)
 
 
-def earned(tests: Sequence[JudgedTest]) -> tuple[JudgedTest, ...]:
-    """Return the best test, and behind it those that see clearly smaller errors than all before them."""
-    chosen = [best_test(tests)]
-    sizes = dict(_sizes(chosen[0]))
-    while True:
-        best = min(tests, key=lambda test: _least_share(test, sizes))
-        if not _least_share(best, sizes) < GAIN:
-            return tuple(chosen)
-        chosen.append(best)
-        for error, size in _sizes(best):
-            sizes[error] = min(sizes[error], size)
+def earned(tests: Sequence[JudgedTest], days: int, spans: Mapping[str, float]) -> tuple[JudgedTest, ...]:
+    """Return the best test, and behind it those that beside all before them see clearly smaller errors, at
+    the factor that all need together.
 
-
-def _least_share(test: JudgedTest, sizes: Mapping[tuple[str, str], float]) -> float:
-    """Return the least share of these sizes from which on the test sees an error."""
-    return min(size / sizes[error] for error, size in _sizes(test))
-
-
-def _sizes(test: JudgedTest) -> Iterator[tuple[tuple[str, str], float]]:
-    """Yield ((kind, output), size) of the errors that a test sees; beyond any size where it sees none. A
-    verdict on few samples counts as an error that is seen late.
+    Args:
+        days: recordings of the fit. spans: {output: how far it moves}.
     """
-    for kind, sizes in (("jump", test.jump), ("steady", test.steady), ("ramp", test.ramp)):
-        for output, size in sizes.items():
-            yield (kind, output), min(size, 1e300)
-    if test.reach:
-        yield ("samples", ""), 1 / test.reach
+    chosen = [best_test(tests)]
+    while True:
+        before = _sizes(chosen, days, spans)
+        joined: list[tuple[float, JudgedTest]] = []
+        for test in tests:
+            if any(test.window == other.window for other in chosen):
+                continue
+            sizes = _sizes([*chosen, test], days, spans)
+            shares = np.array([sizes[error] / size for error, size in before.items()])
+            # what one error gains the wider bounds of all tests must not take from the others
+            if shares.min() < GAIN and shares.prod() < 1:
+                joined.append((shares.prod(), test))
+        if not joined:
+            return tuple(chosen)
+        chosen.append(min(joined, key=itemgetter(0))[1])
+
+
+def _sizes(
+    tests: Sequence[JudgedTest], days: int, spans: Mapping[str, float]
+) -> dict[tuple[str, str], float]:
+    """Return {(kind, output): the size from which on one of the tests sees an error}, the span at most, at
+    the factor that they need together. A verdict on few samples counts as an error that is seen late.
+    """
+    factor = factor_of(largest_of([test.left_out for test in tests]), days)
+    least: dict[tuple[str, str], float] = {}
+    for test in tests:
+        sizes = test.times(factor / test.factor).sizes
+        for (kind, output), size in sizes.items():
+            least[kind, output] = min(size, least.get((kind, output), spans[output]))
+    reach = max(test.reach for test in tests)
+    if reach:
+        least["samples", ""] = 1 / reach
+    return least
 
 
 def test_as_fitted(
@@ -200,6 +238,9 @@ def test_as_fitted(
         base: the model of the file. fitted: for the windows of the test, of the same signals. about: fields
             of the test beside its name and its model.
     """
+    if base.extrapolation and not fitted.extrapolation:  # a field that a test cannot take away
+        origins = {**fitted.provenance, "extrapolation": "assumed: no window outside was left out"}
+        fitted = fitted.replace(extrapolation=1, provenance=origins)
     mine, theirs = (model_document(x.replace(tests=None)) for x in (base, fitted))
     (test,) = stated_tests([{"name": name, **(about or {}), "model": changes_between(mine, theirs)}])
     own = model_of(base, test)

@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxbound.models.system import FOR_OBSERVER, TO_THE_END, LinearSystem
 from jaxbound.recordings.hints import recorded_step
+from jaxbound.studies.identification.extrapolation import extrapolation
 from jaxbound.studies.identification.judging import Judge
 from jaxbound.studies.identification.records import Records, measured_count
 from jaxbound.studies.identification.training import Training
@@ -47,8 +48,11 @@ def verified(
     """
     records, factor = training.records, trial.factor
     spec = trial.candidate.spec | {"ranges": training.ranges}
-    if any(np.isfinite(one.factor) for one in trial.left):
+    if np.isfinite(trial.asked).any():
         spec["left_out"] = stated(factor)
+    beyond = extrapolation(trial, training)
+    if beyond is not None:
+        spec["extrapolation"] = stated(beyond.factor)
     several = "s" * (len(records) > 1)
     source = f"fitted to {measured_count(records)} samples in {len(records)} recording{several}"
     meant = ""
@@ -58,6 +62,8 @@ def verified(
         meant = f" {FOR_OBSERVER}"
     wide = factors_text(factor, safety)
     origin = {"model": source, "noise": f"{source}{meant}, {wide}"}
+    if beyond is not None:
+        origin["extrapolation"] = beyond.text
     directions, walks = trial.walks or (np.zeros((0, 0)), np.zeros(0))
     wider = factor * safety
     bounds = [rounded_up(x * wider) for x in trial.bound]

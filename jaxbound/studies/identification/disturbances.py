@@ -162,7 +162,7 @@ def chosen_disturbances(problem: FitProblem, report: Callable[[float], object]) 
         for at, setting in enumerate(SETTINGS):
             report((number + at / len(SETTINGS)) / len(kinds))
             try:
-                tried = _Tried.of(problem.fitted(kind), setting, training.records)
+                tried = _Tried.of(problem, kind, setting)
                 if tried is None:
                     continue
                 if best is not None and not tried.sizes(safety, longest, faults, least):
@@ -295,15 +295,17 @@ class _Tried:
     setting: Setting
 
     @classmethod
-    def of(cls, full: Candidate, setting: Setting, records: Records) -> "_Tried | None":
+    def of(cls, problem: FitProblem, kind: str, setting: Setting) -> "_Tried | None":
         """Return the Setting with its smallest bounds; None where no bounds will do."""
+        full, records = problem.fitted(kind), problem.training.records
         spec, G, walks = structured(full.spec, full.spread, setting)
         model = _with_bounds(spec, full.spread, G, walks)
         need = max(LEAST, *(least_factor(model, record) for record in records))
         if not math.isfinite(need):
             return None
         made = dataclasses.replace(full, spec=spec)
-        return cls(Trial(made, need * full.spread, (), math.nan, walks=(G, need * walks)), setting)
+        trial = Trial(made, need * full.spread, (), math.nan, problem.training.days, walks=(G, need * walks))
+        return cls(trial, setting)
 
     def model(self, wider: float) -> LinearSystem:
         """Return the model with bounds so many times the smallest."""

@@ -11,6 +11,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.following import Follows
 from jaxbound.studies.identification.recipe import Recipe, recipe_text
 from jaxbound.studies.identification.signal_choice import TriedSignals
+from jaxbound.studies.identification.widest import Widest
 from jaxbound.studies.identification.window_tests import JudgedTest
 from jaxbound.text.objects import readable
 
@@ -19,7 +20,7 @@ class PartLeftOut(NamedTuple):
     """A recording, or a block of one, that was left out of a fit.
 
     Fields: windows: how many it has. factor: on the smallest bounds, which they need under a fit to all
-    others; nan where `why` says why there is none.
+    others, of several tests that which needs most; nan where `why` says why there is none.
     """
 
     windows: int
@@ -54,9 +55,9 @@ class FitCheck:
 
     Fields:
         method: how the coefficients were found, order, delay: of the model, see `fit`.
-        factor, safety: the factors on the smallest bounds: as the recordings ask for, each left out in turn,
-            and on top. smallest: those bounds, {output: bound}. smallest_mean: those of the mean of `average`
-            errors in a row, {} where it was not asked for.
+        factor, safety: the factors on the smallest bounds, of all tests: as the recordings ask for, each left
+            out in turn, see `factor_of`, and on top. smallest: those bounds, {output: bound}. smallest_mean:
+            those of the mean of `average` errors in a row, {} where it was not asked for.
         left_out: a `PartLeftOut` for each recording, or each block of a single one.
         held_out: all of these together: {"windows", "fault", "growth"}: how many windows, the share that
             would be FAULT with `safety` alone, and the factor by which these bounds would have had to be
@@ -79,6 +80,8 @@ class FitCheck:
             the best is left out.
         moved: {output: between its lowest and its highest sample in all recordings}.
         recipe: the `Recipe` that makes the same fit of the same recordings again.
+        widest: the window that asks for the widest bounds, and what leaving out samples like it would give:
+            a `Widest`; of several tests that of the first. None: no window needs any.
         sentences: what the user should know, above all why the data may not carry a monitor.
     """
 
@@ -104,6 +107,7 @@ class FitCheck:
     moved: dict[str, float] = field(default_factory=dict)
     hidden: dict[str, float] = field(default_factory=dict)
     recipe: Recipe = Recipe()
+    widest: Widest | None = None
 
     def of(self, test: JudgedTest) -> JudgedTest:
         """Return a test with the numbers of this fit, which is for it and has looked at windows that lack
@@ -116,6 +120,7 @@ class FitCheck:
             smallest_mean=self.smallest_mean,
             jump=self.jump,
             steady=self.steady,
+            left_out=tuple(one.factor for one in self.left_out),
             ramp={name: max(grown, default=1.0) * size for name, size in test.ramp.items()},
         )
 

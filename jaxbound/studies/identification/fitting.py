@@ -14,11 +14,16 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from os import PathLike
+from typing import overload
 
 from jaxbound.models.arguments import table_argument, taking_fields
+from jaxbound.models.conversion import ModelLike
+from jaxbound.recordings.expressions import with_angles
 from jaxbound.recordings.means import with_every
+from jaxbound.recordings.recordingformat import Stated, with_format
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
+from jaxbound.studies.identification.adding import MOST, Widened, widen
 from jaxbound.studies.identification.advice import inputs_at_rest
 from jaxbound.studies.identification.bank import fitted_bank
 from jaxbound.studies.identification.disturbances import refuse_unseen
@@ -36,6 +41,7 @@ from jaxbound.studies.identification.signal_choice import (
     refuse_unnamed,
 )
 from jaxbound.studies.identification.training import Training
+from jaxbound.studies.identification.widest import widest_of
 from jaxbound.studies.identification.window_tests import WINDOWS
 from jaxbound.text.progress import in_part, reporter
 
@@ -43,9 +49,37 @@ SHOWN = {"latch": True}
 """The rule of alarms of a fitted model: windows forget the onset of a fault that lasts, alarms do not."""
 
 
+@overload
+def fit(
+    recordings: object,
+    recipe: Recipe | str | PathLike[str] | None = ...,
+    *,
+    inputs: str | Sequence[str] | None = ...,
+    outputs: str | Sequence[str] | None = ...,
+    dt: float | None = ...,
+    every: str | None = ...,
+    name: str = ...,
+    units: Mapping[str, str] | None = ...,
+    columns: Mapping[str, str] | None = ...,
+    recording: Stated = ...,
+    progress: Callable[[float], object] | None = ...,
+    add: None = ...,
+    most: None = ...,
+    **fields: object,
+) -> Fitted: ...
+
+
+@overload
+def fit(
+    recordings: object,
+    *,
+    add: ModelLike | str | PathLike[str],
+    most: float | None = ...,
+    progress: Callable[[float], object] | None = ...,
+) -> Widened: ...
+
+
 @taking_fields(Recipe)
-@where_proofs_hold(compiled=False)
-@sparing(False)
 def fit(
     recordings: object,
     recipe: Recipe | str | PathLike[str] | None = None,
@@ -57,14 +91,18 @@ def fit(
     name: str = "fitted",
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
+    recording: Stated = None,
     progress: Callable[[float], object] | None = None,
+    add: ModelLike | str | PathLike[str] | None = None,
+    most: float | None = None,
     **fields: object,
-) -> Fitted:
+) -> Fitted | Widened:
     """Find a nominal model and noise bounds from healthy recordings.
 
     The smallest bounds are those under which every window of the recordings is consistent, in the ratio of
     the outputs' residuals: `tune` moves each by its own. Each recording in turn is then judged by a fit to
-    all others: by the largest factor that one of them asks for the bounds are wider, and by `safety` on top.
+    all others: by the geometric mean of the factors that they ask for, each of the test that asks most, the
+    bounds of all tests are wider, somewhat more for few recordings, and by `safety` on top.
     They are verified: `detect` finds every window CONSISTENT, or an observer no FAULT. Of n recordings that
     are like the next one, one in n + 1 may still ask for more.
 
@@ -77,12 +115,17 @@ def fit(
         inputs, outputs: names; needed with tables and paths. dt: sampling period in s; None: what the times
             of tables, paths or a Recording say, else 1. every: an interval of the clock, like "15min":
             samples are the means of what was recorded within each, and the model keeps it.
-        name, units, columns: as of a LinearSystem; tables are read by these columns too. progress: called
-            with the share of the work done.
+        name, units, columns: as of a LinearSystem; tables are read by these columns too. Of a column
+            "= angle(wind)" the signal becomes two, its sine and its cosine. recording: how files are written,
+            see `RecordingFormat`. progress: called with the share of the work done.
+        add: a model, or the path of its file, that is widened by the recordings instead: each of its tests
+            just enough to hold them, proved; most: more than so many times, by default 3, is refused, for a
+            fault would be learnt.
         fields: fields of the recipe that are to differ from it, like order=1, horizon=30.
 
     Returns:
         A Fitted: a LinearSystem with `.horizon` (but for an observer), provenance "fitted ..." and `.check`.
+        With add, a Widened: its .model, and what the widening costs.
 
     Raises:
         ValueError: recordings that do not fit each other, too few samples, an output that stands still,
@@ -96,12 +139,32 @@ def fit(
         >>> abs(float(model.A[0][0]) - 0.8) < 0.05, float(model.noise[0]) < 0.15
         (True, True)
     """
+    if add is not None:
+        new = {
+            "recipe": recipe,
+            "inputs": inputs,
+            "outputs": outputs,
+            "dt": dt,
+            "every": every,
+            "units": units,
+        }
+        for field, value in {**new, "columns": columns, **fields}.items():
+            if value is not None:
+                raise ValueError(f"add widens a model as it is: leave {field} out")
+        return widen(add, recordings, MOST if most is None else most, progress)
+    if most is not None:
+        raise ValueError("most is for add: safety=1.5 makes bounds of a new model wider")
     plan = recipe_of(recipe, fields)
     columns = table_argument("columns", columns, "{'Q': 'Heater 1'}")
     units = table_argument("units", units, "{'T': 'degC'}")
-    columns, dt = with_every(columns, dt, every)
-    report = reporter(progress, "fit")
-    begin_with = names_of("inputs", inputs)
+    columns, dt = with_every(with_format(columns, recording), dt, every)
+    inputs = begin_with = names_of("inputs", inputs)
+    if begin_with is not None:
+        begin_with, columns = with_angles(begin_with, columns)
+        inputs = begin_with
+    outputs = names_of("outputs", outputs)
+    if outputs is not None:
+        outputs, columns = with_angles(outputs, columns)
     pool: dict[str, str] = {}
     if plan.signals is not None:
         if not begin_with:
@@ -113,10 +176,19 @@ def fit(
         inputs = (*begin_with, *pool)
     training = Training.of(recordings, inputs, outputs, dt, columns | pool)
     training = dataclasses.replace(training, units=units, name=name)
+    return _fitted(training, plan, begin_with or (), reporter(progress, "fit"))
+
+
+@where_proofs_hold(compiled=False)
+@sparing(False)
+def _fitted(
+    training: Training, plan: Recipe, begin_with: Sequence[str], report: Callable[[float], object]
+) -> Fitted:
+    """Return the fit of recordings. begin_with: the inputs, without their products."""
     signals: tuple[TriedSignals, ...] = ()
     if plan.signals is not None:
         step = partial(in_part, report, 0.0, 0.4)
-        training, plan, signals = _with_signals(training, plan, begin_with or (), step)
+        training, plan, signals = _with_signals(training, plan, begin_with, step)
         report = partial(in_part, report, 0.4, 0.6)
     # only now: the choice of signals may have dropped an input
     refuse_unseen(plan.faults, training.inputs, training.outputs)
@@ -128,9 +200,10 @@ def fit(
     if can_choose or plan.test is not None:
         model = fitted_bank(training, plan, sentences, report)
     else:
-        model = fitted(training, plan, None, sentences, report)
-    stated = model.replace(alarms=SHOWN)
-    return Fitted(stated, dataclasses.replace(model.check, signals=signals, recipe=plan))
+        model = fitted(training, plan, sentences, report)
+    widest = widest_of(training, model.check.used, model.horizon)
+    check = dataclasses.replace(model.check, signals=signals, recipe=plan, widest=widest)
+    return Fitted(model.replace(alarms=SHOWN), check)
 
 
 def _with_signals(

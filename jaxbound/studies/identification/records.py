@@ -78,7 +78,7 @@ def read_each(
     Raises:
         OSError, ValueError: see `read_signals`; signals that are not named.
     """
-    if _is_pair(recordings) or not isinstance(recordings, list | tuple):
+    if is_pair(recordings) or not isinstance(recordings, list | tuple):
         recordings = [recordings]
     if not recordings:
         raise ValueError("there is no recording: give at least one")
@@ -103,7 +103,7 @@ def read_each(
     return every
 
 
-def _is_pair(recording: object) -> bool:
+def is_pair(recording: object) -> bool:
     """Return whether an object is (u, y) or (u, y, starts), not several recordings."""
     if not isinstance(recording, tuple) or len(recording) not in (2, 3):
         return False
@@ -112,7 +112,7 @@ def _is_pair(recording: object) -> bool:
 
 def _parts(where: str, recording: object) -> tuple[Any, ...]:
     """Return the arguments of `Recording.of` that a recording is."""
-    if isinstance(recording, tuple) and _is_pair(recording):
+    if isinstance(recording, tuple) and is_pair(recording):
         return recording
     if holds_both(recording):
         return (recording,)
@@ -141,6 +141,19 @@ def _refuse_untimed(where: str, signals: Signals, recording: Recording) -> None:
             f"{where}: every = {every!r} needs the times of the samples: give a table with a column of them, "
             f"or a Recording"
         )
+
+
+def sample_text(when: str, sample: int) -> str:
+    """Return words for a sample: its time, as its owner writes it, and its number.
+
+    Example:
+        >>> sample_text("07:00", 60), sample_text("sample 60", 60)
+        ('07:00 (sample 60)', 'sample 60')
+    """
+    number = f"sample {sample}"
+    if when == number:
+        return number
+    return f"{when} ({number})"
 
 
 def common_period(dt: float | None, recordings: Sequence[Recording]) -> float:

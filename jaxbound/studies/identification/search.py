@@ -5,6 +5,7 @@ best is verified by the proved test.
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
 
@@ -51,13 +52,60 @@ def on_recordings(training: Training, recipe: Recipe) -> list[str]:
     ]
 
 
+@dataclass(frozen=True, eq=False)
+class Unwritten:
+    """A fit of one test whose bounds are not written yet.
+
+    Fields: trial: its smallest bounds, and what each recording that is left out asks for. safety: on top of
+    that. complete: whether floats looked at all windows of other tests. sentences: on recordings and bounds.
+    """
+
+    problem: FitProblem
+    trial: Trial
+    safety: float
+    complete: bool
+    tradeoff: tuple[Tradeoff, ...]
+    sentences: tuple[str, ...]
+
+    def written(self, beside: Sequence["Unwritten"] = ()) -> Fitted:
+        """Return the fit with verified bounds. beside: tests that are written with the same factor."""
+        problem, training, sentences = self.problem, self.problem.training, list(self.sentences)
+        trial = dataclasses.replace(self.trial, beside=tuple(one.trial.own for one in beside))
+        # a safety that the wanted faults allow is one on bounds as wide as this test alone asks for
+        safety = max(problem.recipe.safety, self.safety * self.trial.factor / trial.factor)
+        # few digits are what a user reads in the model file: what is verified is what is saved
+        model, used = verified(problem.judge, trial, training, safety)
+        hidden: dict[str, float] = {}
+        observer = problem.recipe.observing
+        if observer is not None and observer.sharp:
+            try:
+                hidden = hidden_jumps(model, SETTLED, RAMP)
+            except GivenUp as end:
+                sentences.append(f"what noise may hide from any test is not known: {end}; {SMALLER}")
+        check = _check(problem, trial, model, used, safety)
+        check = dataclasses.replace(check, tradeoff=self.tradeoff, hidden=hidden)
+        if not self.complete:
+            sentences.append(advice.COMPLETE_ONLY)
+        sentences += advice.data_limits(model, check, problem.recipe.held_out)
+        sentences += advice.alike(training.records, training.inputs, check)
+        sentences = [*advice.blind(model, check), *sentences]
+        return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences)))
+
+
 def fitted(
+    training: Training, recipe: Recipe, sentences: Sequence[str], report: Callable[[float], object]
+) -> Fitted:
+    """Return the fit of one test, see `unwritten`."""
+    return unwritten(training, recipe, None, sentences, report).written()
+
+
+def unwritten(
     training: Training,
     recipe: Recipe,
     taken: TriedTest | None,
     sentences: Sequence[str],
     report: Callable[[float], object],
-) -> Fitted:
+) -> Unwritten:
     """Return the fit of one test.
 
     Args:
@@ -88,21 +136,9 @@ def fitted(
         unsaid = [name for name in training.outputs if name not in best.averages]
         sentences += [advice.no_average(name, recipe.average) for name in unsaid]
 
-    # few digits are what a user reads in the model file: the model that is verified is the one that is saved
-    model, used = verified(judge, best, training, safety)
-    hidden: dict[str, float] = {}
-    if observer is not None and observer.sharp:
-        try:
-            hidden = hidden_jumps(model, SETTLED, RAMP)
-        except GivenUp as end:
-            sentences.append(f"what noise may hide from any test is not known: {end}; {SMALLER}")
-    check = _check(problem, best, model, used, safety)
-    check = dataclasses.replace(check, tradeoff=tradeoff, hidden=hidden)
-    if taken is not None and not taken.complete:
-        sentences.append(advice.COMPLETE_ONLY)
-    sentences = [*advice.blind(model, check), *sentences, *advice.data_limits(model, check, recipe.held_out)]
+    complete = taken is None or taken.complete
     report(1.0)
-    return Fitted(model, dataclasses.replace(check, sentences=tuple(sentences)))
+    return Unwritten(problem, best, safety, complete, tradeoff, tuple(sentences))
 
 
 def _best(problem: FitProblem, step: Callable[[float], object]) -> tuple[Trial, list[str]]:
@@ -148,8 +184,8 @@ def _check(
     training, factor = problem.training, trial.factor
     jump, steady = problem.sizes(model, trial.follows.most)
     left, recordings = [], []
-    for one in trial.left:
-        left.append(PartLeftOut(int(np.isfinite(one.need).sum()), one.factor, one.why))
+    for one, asked in zip(trial.left, trial.asked, strict=True):
+        left.append(PartLeftOut(int(np.isfinite(one.need).sum()), asked, one.why))
     for (_, y, _), share in zip(training.records, used, strict=True):
         finite = share[np.isfinite(share)]
         largest = float(finite.max()) if len(finite) else math.nan
@@ -171,7 +207,7 @@ def _check(
         jump=jump,
         steady=steady,
         follows=trial.follows,
-        moved=dict(zip(training.outputs, map(float, training.spans), strict=True)),
+        moved=training.span_of,
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import agreed, with_format
 from jaxbound.studies.identification.records import Names, Records, common_period, read_each
 from jaxbound.studies.identification.regression import Scales, scales_of
 
@@ -17,7 +18,8 @@ from jaxbound.studies.identification.regression import Scales, scales_of
 class Training:
     """Healthy recordings, and arguments of a LinearSystem that they settle.
 
-    Fields: recordings: as `read_each` takes them. records: their samples. Others: as of a LinearSystem.
+    Fields: recordings: as `read_each` takes them, or has read them. records: their samples. Others:
+    as of a LinearSystem.
     """
 
     recordings: object
@@ -42,8 +44,9 @@ class Training:
         every, records = read_each(recordings, inputs, outputs, columns, dt), []
         for one in every:
             records.append((np.asarray(one.u, np.float64), np.asarray(one.y, np.float64), one.starts))
+        columns = with_format(columns, agreed(recording.taken for recording in every))
         names = every[0].inputs, every[0].outputs
-        return cls(recordings, *names, common_period(dt, every), records, columns)
+        return cls(every, *names, common_period(dt, every), records, columns)
 
     def with_inputs(self, inputs: Sequence[str]) -> "Training":
         """Return the training with some of its inputs."""
@@ -64,6 +67,11 @@ class Training:
         """Return the recordings with the times of their samples."""
         return read_each(self.recordings, self.inputs, self.outputs, self.columns, None)
 
+    @property
+    def days(self) -> int:
+        """How many recordings there are."""
+        return len(self.records)
+
     @cached_property
     def scales(self) -> Scales:
         """The middle and the spread of each signal."""
@@ -74,6 +82,11 @@ class Training:
         """How far each output moves, between its lowest and its highest sample."""
         y = np.concatenate([y for _, y, _ in self.records])
         return tuple(np.nanmax(y, axis=0) - np.nanmin(y, axis=0))
+
+    @property
+    def span_of(self) -> dict[str, float]:
+        """{output: how far it moves}."""
+        return dict(zip(self.outputs, map(float, self.spans), strict=True))
 
     @cached_property
     def ranges(self) -> dict[str, tuple[float, float]]:

@@ -1,9 +1,10 @@
 """Leaving recordings out: what the bounds of a fit are worth on a day that it has not seen.
 
-Each recording in turn is judged by a fit to all the others, under the bounds of the fit to all. How much
-wider they would have had to be is what another recording like these may ask for; n recordings promise no more
-than one in n + 1 for the next, whatever is computed from them. A single recording is cut into blocks, which
-says less: they share a day.
+Each recording in turn is judged by a fit to all the others, under the bounds of the fit to all. These hold
+every recording, the most unlike one too, so what they lack on a day that nobody saw is how wrong a model is
+there: the geometric mean of what the recordings ask for (`factor_of`). The largest would count the most
+unlike recording twice. n recordings promise no more than one in n + 1 for the next, whatever is computed from
+them. A single recording is cut into blocks, which says less: they share a day.
 
 Where the others do not move as the fit to all needs it, their model is none, and what it asks for says
 nothing of the plant: such a recording has no factor.
@@ -34,6 +35,10 @@ RANK = 1e-9
 """Share of the largest below which nothing is said of a direction by any of them."""
 AVERAGES = 0.95
 """Share of the bound of a sample from which on that of a mean says nothing."""
+FEW_DAYS = 1.15
+"""Factor for two recordings on top of what they ask for, its root of order n - 1 for n: a fit to one of two
+says little of the next, and in simulated plants half of all days asked for more.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +67,8 @@ class Trial:
 
     Fields:
         bound (p,): the smallest noise that explains all. left: of each part. blindness: see
-            `FitProblem.blindness`, of bounds as wide as these ask for.
+            `FitProblem.blindness`, of bounds as wide as these ask for. days: how many recordings there are.
+            beside: the `own` of other tests that are written with the same factor.
         follows: how bounds follow the operating point. average, means (p,): the smallest bounds of the means
             of so many errors; None: none. walks: of disturbances.
     """
@@ -71,15 +77,27 @@ class Trial:
     bound: np.ndarray
     left: tuple[LeftOut, ...]
     blindness: float
+    days: int
+    beside: tuple[tuple[float, ...], ...] = ()
     follows: Follows = Follows()
     average: int | None = None
     means: np.ndarray | None = None
     walks: Walks | None = None
 
     @property
+    def own(self) -> tuple[float, ...]:
+        """The factor that each part asks of this test; nan where there is none."""
+        return tuple(one.factor for one in self.left)
+
+    @property
+    def asked(self) -> tuple[float, ...]:
+        """The factor that each part asks of this test and of those beside it."""
+        return largest_of((self.own, *self.beside))
+
+    @property
     def factor(self) -> float:
-        """The factor that the recordings ask for."""
-        return widest(self.left)
+        """The factor on the smallest bounds that the recordings ask for."""
+        return factor_of(self.asked, self.days)
 
     @property
     def averages(self) -> dict[str, dict[int, float]]:
@@ -111,9 +129,42 @@ def excited(problem: FitProblem, others: Records, parts: Records) -> float:
     return float(np.linalg.eigvalsh(basis.T @ some @ basis).min(initial=1.0))
 
 
-def widest(left: Sequence[LeftOut]) -> float:
-    """Return the factor that the recordings ask for, each left out in turn: at least 1."""
-    return max([1.0, *(one.factor for one in left if np.isfinite(one.factor))])
+def largest_of(tests: Sequence[Sequence[float]]) -> tuple[float, ...]:
+    """Return the factor that each part asks of several tests, the largest that is known; else nan.
+
+    Example:
+        >>> largest_of([(1.1, 0.9), (float("nan"), 1.3)])
+        (1.1, 1.3)
+    """
+    return tuple(np.fmax.reduce(list(filter(len, tests)) or [()]).tolist())
+
+
+def factor_of(asked: Sequence[float], days: int) -> float:
+    """Return the factor on the smallest bounds: the geometric mean of what the parts ask for, each for 1 at
+    least, and more for few days; 1 where nothing was left out.
+
+    Args:
+        asked: by each part, nan where it is not known. days: how many recordings there are.
+
+    Example:
+        >>> round(factor_of((1.0, 8.0, 0.5), 3) / few_days(3), 6)
+        2.0
+    """
+    if not len(asked):
+        return 1.0
+    known = np.array(asked)[np.isfinite(asked)]
+    mean = np.exp(np.log(np.maximum(known, 1)).mean()) if len(known) else 1.0
+    return float(mean) * few_days(days)
+
+
+def few_days(days: int) -> float:
+    """Return the factor for few recordings.
+
+    Example:
+        >>> few_days(2), round(few_days(5), 3)
+        (1.15, 1.036)
+    """
+    return float(FEW_DAYS ** (1 / max(days - 1, 1)))
 
 
 def tried(problem: FitProblem, kind: str, weight: float = 0.0) -> Trial:
@@ -128,7 +179,7 @@ def tried(problem: FitProblem, kind: str, weight: float = 0.0) -> Trial:
     left, least = [], judge.least(model)
     for number in range(len(problem.parts)):
         left.append(_without(problem, kind, number, least, weight))
-    trial = Trial(full, bound, tuple(left), 0.0, follows).under(judge, problem.parts)
+    trial = Trial(full, bound, tuple(left), 0.0, training.days, follows=follows).under(judge, problem.parts)
     # bounds that follow are judged by constant ones as wide as they are on average
     covering = constant.model(trial.factor * follows.mean * bound)
     return dataclasses.replace(trial, blindness=problem.blindness(covering))

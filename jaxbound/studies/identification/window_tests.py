@@ -6,6 +6,7 @@ times as long; lags remember as long with fewer samples. Each needs bounds of it
 are as long share their fits; floats (`gauge`) choose, and the test that is taken is proved afterwards.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -62,10 +63,10 @@ class JudgedTest(NamedTuple):
 
     Fields: window: WindowChoice; method: of the coefficients; factor: on the smallest bounds; smallest,
     smallest_mean: those bounds, {output: bound}; jump, steady: {output: size}, the smallest errors that are
-    sure to be seen at this factor and the safety, inf: none; blindness: these sizes as one number, see
-    `sizes.blindness`, without the safety. ramp: {output: size} that a ramp has after RAMP samples, likewise.
+    sure to be seen at this factor and the safety, inf: none. blindness: these sizes, and those of ramps, as
+    one number, see `blindness`. ramp: {output: size} that a ramp has after RAMP samples, likewise.
     In floats, not proved, and of complete windows alone. reach: the share of the samples at which windows
-    have a verdict; 0: it does not count.
+    have a verdict; 0: it does not count. left_out: the factor that each recording, or block, asks for.
     """
 
     window: WindowChoice
@@ -78,6 +79,26 @@ class JudgedTest(NamedTuple):
     blindness: float
     ramp: Mapping[str, float] = {}
     reach: float = 0.0
+    left_out: tuple[float, ...] = ()
+
+    @property
+    def sizes(self) -> dict[tuple[str, str], float]:
+        """{(kind, output): size} of the errors that are seen."""
+        kinds = {"jump": self.jump, "steady": self.steady, "ramp": self.ramp}
+        return {(kind, name): x for kind, sizes in kinds.items() for name, x in sizes.items()}
+
+    def times(self, wider: float) -> "JudgedTest":
+        """Return the test under bounds so many times as wide."""
+
+        def grown(sizes: Mapping[str, float]) -> dict[str, float]:
+            return {output: wider * size for output, size in sizes.items()}
+
+        return self._replace(
+            factor=wider * self.factor,
+            jump=grown(self.jump),
+            steady=grown(self.steady),
+            ramp=grown(self.ramp),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +119,19 @@ class TriedTest:
         return self.judged.blindness
 
 
+def blindness(sizes: Mapping[tuple[str, str], float], spans: Mapping[str, float]) -> float:
+    """Return the geometric mean of the sizes of errors from which on they are seen, in shares of the span of
+    their output, beyond which it does not count how blind a test is.
+
+    Example:
+        >>> round(blindness({("jump", "T1"): 2.0, ("ramp", "T1"): 1e9}, {"T1": 8.0}), 6)
+        0.5
+    """
+    own = np.array([spans[output] for _, output in sizes])
+    shares = np.minimum(list(sizes.values()) / own, 1)
+    return float(np.exp(np.log(shares).mean()))
+
+
 def best_test(tests: Sequence[JudgedTest]) -> JudgedTest:
     """Return the test that sees the smallest errors, the first one of equals."""
     return min(tests, key=attrgetter("blindness"))
@@ -113,7 +147,7 @@ def best_kind(problem: FitProblem) -> str:
 
 
 def tried_tests(training: Training, recipe: Recipe, step: Callable[[float], object]) -> tuple[TriedTest, ...]:
-    """Return the TriedTest of each of WINDOWS that recordings are long enough for, by its best kind.
+    """Return the TriedTest of each of WINDOWS that recordings are long enough for, by each kind.
 
     Args:
         recipe: with an order and a delay. step: called with the share of the work done.
@@ -137,14 +171,11 @@ def tried_tests(training: Training, recipe: Recipe, step: Callable[[float], obje
         if horizon not in problems:
             problems[horizon] = FitProblem.of(training, own, GaugeJudge())
         problem = problems[horizon].under(GaugeJudge(), own)
-        found: list[TriedTest] = []
         try:
             for kind in kinds:
-                found += _judged(problem, kind)
+                tests += _judged(problem, kind)
         except ValueError as e:  # too few samples for windows that are so long
             refusal = refusal or e
-        if found:
-            tests.append(min(found, key=attrgetter("blindness")))
         step((number + 1) / len(WINDOWS))
     if not tests:
         raise refusal or ValueError(
@@ -166,6 +197,7 @@ def _judged(problem: FitProblem, kind: str) -> list[TriedTest]:
     wider = {name: {n: factor * x for n, x in own.items()} for name, own in trial.averages.items()}
     model = trial.candidate.model(factor * trial.bound).replace(averages=wider)
     jump, steady = problem.sizes(model, safety)
+    ramp = {name: RAMP * safety * x for name, x in seen_slopes(model, training.scales).items()}
     judged = JudgedTest(
         recipe.window,
         kind,
@@ -174,10 +206,12 @@ def _judged(problem: FitProblem, kind: str) -> list[TriedTest]:
         {name: x for name, own in trial.averages.items() for x in own.values()},
         jump,
         steady,
-        problem.blindness(model),
-        {name: RAMP * safety * x for name, x in seen_slopes(model, training.scales).items()},
+        math.nan,
+        ramp,
         reached(training.records, recipe.window.horizon),
+        trial.own,
     )
+    judged = judged._replace(blindness=blindness(judged.sizes, training.span_of))
     return [TriedTest(judged, trial, completeness(training.records, recipe.window.horizon) == 1)]
 
 

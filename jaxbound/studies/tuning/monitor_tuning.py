@@ -98,7 +98,7 @@ def tuned_monitor(
             raise ValueError(f"test {name!r}: {e}") from None
         tunings[name] = one
         # rounded up: what healthy data proved holds under wider bounds
-        factors[name] = _short(test.factor * _grown(one))
+        factors[name] = short_factor(test.factor * _grown(one))
         notes += one.notes
     if not tunings:
         raise ValueError("no test of this monitor watches a sample of the healthy data")
@@ -157,11 +157,11 @@ def _grown(one: TuneResult) -> Fraction:
     return Fraction(max(ratios, default=1.0)) * Fraction(one.factor * one.safety)
 
 
-def _short(factor: Fraction) -> Fraction:
+def short_factor(factor: Fraction) -> Fraction:
     """Return a factor that is not smaller, as a short decimal.
 
     Example:
-        >>> _short(Fraction(4, 3))
+        >>> short_factor(Fraction(4, 3))
         Fraction(667, 500)
     """
     up = Context(prec=DIGITS, rounding=ROUND_CEILING)
@@ -183,7 +183,7 @@ def _accepted(
         for name, test in stated.items():
             factor = factors[name]
             if factor != test.factor:
-                factor = _short(factor * extra)
+                factor = short_factor(factor * extra)
             tests.append(replace(test, factor=factor))
         model = bank.plant.replace(tests=tests)
         tuned = monitor(model)

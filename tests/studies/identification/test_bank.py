@@ -8,7 +8,11 @@ import jaxbound as jb
 from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification import bank, disturbances, window_tests
 from jaxbound.studies.identification.bank import earned
+from jaxbound.studies.identification.bounds import rounded_up
+from jaxbound.studies.identification.trial import factor_of, largest_of
 from jaxbound.studies.identification.window_tests import JudgedTest, WindowChoice
+
+SPANS = {"y1": 10.0}
 
 
 def judged(horizon, jump, steady, blindness):
@@ -18,17 +22,17 @@ def judged(horizon, jump, steady, blindness):
 
 def test_a_test_that_sees_clearly_smaller_errors_earns_its_place():
     short, long = judged(15, 1.0, 9.0, 2.0), judged(60, 3.0, 7.0, 1.0)
-    assert earned([short, long]) == (long, short)
+    assert earned([short, long], 3, SPANS) == (long, short)
 
 
 def test_a_test_that_sees_hardly_smaller_errors_does_not():
     best, other = judged(15, 1.0, 9.0, 1.0), judged(60, 0.81, 7.3, 2.0)
-    assert earned([best, other]) == (best,)
+    assert earned([best, other], 3, SPANS) == (best,)
 
 
 def test_a_test_that_sees_what_no_other_sees_earns_its_place():
-    blind, seeing = judged(15, 1.0, np.inf, 1.0), judged(60, 4.0, 1e6, 2.0)
-    assert earned([blind, seeing]) == (blind, seeing)
+    blind, seeing = judged(15, 1.0, np.inf, 1.0), judged(60, 4.0, 7.0, 2.0)
+    assert earned([blind, seeing], 3, SPANS) == (blind, seeing)
 
 
 def test_an_observer_earns_its_place_by_a_ramp_and_stands_behind_windows():
@@ -37,14 +41,34 @@ def test_an_observer_earns_its_place_by_a_ramp_and_stands_behind_windows():
     watching = JudgedTest(
         WindowChoice(0, observer="joint"), "windows", 1.0, {}, {}, *sizes, np.inf, {"y1": 5.0}
     )
-    assert earned([watching, short]) == (short, watching)
-    assert earned([watching._replace(ramp={"y1": 7.0}), short]) == (short,)
+    assert earned([watching, short], 3, SPANS) == (short, watching)
+    assert earned([watching._replace(ramp={"y1": 7.0}), short], 3, SPANS) == (short,)
 
 
 def test_a_short_test_earns_its_place_where_a_long_one_has_no_verdict_on_many_samples():
     short, long = judged(7, 4.0, 9.0, 2.0)._replace(reach=0.7), judged(60, 1.0, 2.0, 1.0)
-    assert earned([short, long._replace(reach=0.2)]) == (long._replace(reach=0.2), short)
-    assert earned([short, long._replace(reach=0.6)]) == (long._replace(reach=0.6),)
+    assert earned([short, long._replace(reach=0.2)], 3, SPANS) == (long._replace(reach=0.2), short)
+    assert earned([short, long._replace(reach=0.6)], 3, SPANS) == (long._replace(reach=0.6),)
+
+
+def test_a_test_that_asks_for_wider_bounds_of_all_must_be_worth_it():
+    """One factor is that of the bank: what a test sees that asks for much, the others pay for."""
+    short, long = judged(15, 1.0, 9.0, 1.0), judged(60, 4.0, 6.0, 2.0)
+    calm, wide = (1.0, 1.0, 1.0), (1.0, 4.0, 4.0)
+    assert (
+        earned([short._replace(left_out=calm), long._replace(left_out=calm)], 3, SPANS)[1].window.horizon
+        == 60
+    )
+    # seen at its own factor, 6.0 is what the short one never shows; beside it the jump would be 2.5
+    long = long._replace(left_out=wide, factor=factor_of(wide, 3))
+    short = short._replace(left_out=calm, factor=factor_of(calm, 3))
+    assert earned([short, long], 3, SPANS) == (short,)
+
+
+def test_a_bank_asks_of_each_recording_what_its_widest_test_does():
+    one, other = (1.0, 2.0, np.nan), (3.0, 1.0, np.nan)
+    assert largest_of([one, other])[:2] == (3.0, 2.0)
+    assert factor_of(largest_of([one, other]), 3) > max(factor_of(one, 3), factor_of(other, 3))
 
 
 @pytest.fixture(scope="module")
@@ -82,8 +106,20 @@ def test_each_test_of_the_bank_is_the_fit_for_its_windows(fitted, recordings):
         about = window.about | {"average": window.average}
         alone = jb.fit(recordings, order=1, method=by_name[test.name].method, **about)
         own = model_of(fitted, test)
-        assert (own.A, own.B, own.noise, own.averages) == (alone.A, alone.B, alone.noise, alone.averages)
-        assert (own.horizon, own.lags, own.left_out) == (alone.horizon, alone.lags, alone.left_out)
+        assert (own.A, own.B, own.horizon, own.lags) == (alone.A, alone.B, alone.horizon, alone.lags)
+        assert by_name[test.name].smallest == pytest.approx(alone.check.smallest, rel=1e-9)
+
+
+def test_all_tests_of_a_bank_have_one_factor(fitted):
+    """What each recording asks of the test that asks most, whatever a test by itself would need."""
+    chosen = [fitted, *(model_of(fitted, test) for test in fitted.tests[1:])]
+    by_name = {test.window.text: test for test in fitted.check.tests}
+    for name, model in zip([test.name for test in fitted.tests], chosen, strict=True):
+        assert model.left_out == fitted.left_out
+        bound = rounded_up(fitted.check.factor * 1.25 * by_name[name].smallest["y1"])
+        assert float(model.noise[0] + model.resolution[0]) == pytest.approx(bound, rel=2e-3)
+    asked = [one.factor for one in fitted.check.left_out]
+    assert factor_of(asked, 3) == fitted.check.factor
 
 
 def test_an_observer_is_tried_beside_the_windows_with_disturbances_of_its_own(recordings, monkeypatch):

@@ -1,0 +1,126 @@
+"""Windows outside of training have wider bounds: they are judged as by a model that states these."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import jaxbound as jb
+from jaxbound.consistency.extrapolated import extrapolated
+
+G = Fraction(3, 2)
+NOISE, ROUNDED = Fraction(1, 10), Fraction(1, 20)
+
+
+def plant(factor=None, wide=1, **changes):
+    """Return a heater in a range of its input. wide: factor on all its bounds, as somebody would state it."""
+    noise = wide * (NOISE + ROUNDED) - ROUNDED
+    given = dict(noise=noise, resolution=ROUNDED, ranges={"u1": (-1, 1)}, extrapolation=factor)
+    return jb.LinearSystem([["0.8"]], [["0.5"]], [[1]], **{**given, **changes})
+
+
+def recording(rng, shape=(80,)):
+    """Return samples that leave training twice: the first time with errors between the bounds that are stated
+    and those outside, the second time with larger ones.
+    """
+    u = rng.uniform(-1, 1, (*shape, 1))
+    u[..., 20:36, :], u[..., 60:70, :] = 2, -3
+    x, y = np.zeros((*shape[:-1], 1)), np.zeros((*shape, 1))
+    for k in range(shape[-1]):
+        y[..., k, :] = x
+        x = 0.8 * x + 0.5 * u[..., k, :]
+    sizes = np.ones((shape[-1], 1))
+    sizes[20:40], sizes[62:68] = 1.9, 8
+    y += 0.1 * sizes * rng.uniform(0.9, 1, y.shape) * rng.choice([-1, 1], y.shape)
+    y[..., 41, :] = np.nan
+    return u, y
+
+
+def averaged(wide):
+    """Return bounds on means, which hold what is rounded away beside them."""
+    return {"averages": {"y1": {2: wide * (NOISE + ROUNDED) * Fraction(3, 4) - ROUNDED}}}
+
+
+def disturbed(wide):
+    return {
+        "disturbance": (
+            [[1]],
+            [(Fraction(1, 10) - wide * Fraction(1, 20), Fraction(1, 10) + wide * Fraction(1, 20))],
+        )
+    }
+
+
+def nothing(wide):
+    return {}
+
+
+KINDS = {
+    "windows": (nothing, lambda model: jb.parity_relations(model, 3)),
+    "lags": (nothing, lambda model: jb.parity_relations(model, lags=(0, 2, 5))),
+    "searched": (nothing, lambda model: jb.parity_relations(model, 30)),
+    "means": (averaged, lambda model: jb.parity_relations(model, 4)),
+    "disturbed": (disturbed, lambda model: jb.parity_relations(model, 3)),
+    "tolerance": (
+        lambda wide: {"tolerance": wide * Fraction(1, 50)},
+        lambda model: jb.parity_relations(model, 2),
+    ),
+    "bank": (nothing, jb.redundancy),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_windows_outside_are_judged_as_by_a_model_that_states_the_wider_bounds(kind, rng):
+    more, made = KINDS[kind]
+    u, y = recording(rng, (2, 80))
+    res, stated, wide = (
+        jb.detect(made(plant(factor, by, **more(by))), u, y, starts=[45])
+        for factor, by in ((G, 1), (None, 1), (None, G))
+    )
+    out = res.outside > 0
+    np.testing.assert_array_equal(res.status, np.where(out, wide.status, stated.status))
+    np.testing.assert_allclose(res.margin, np.where(out, wide.margin, stated.margin), rtol=0, atol=1e-12)
+    assert (stated.status[out] > wide.status[out]).any() and (res.status[out] == jb.Status.FAULT).any()
+    if kind == "bank":
+        np.testing.assert_array_equal(res.violated, np.where(out[..., None], wide.violated, stated.violated))
+
+
+def test_a_stream_says_what_detect_says(rng):
+    u, y = recording(rng)
+    for relations in (
+        jb.parity_relations(plant(G), 3),
+        jb.monitor(plant(G), [{"name": "one", "horizon": 3}]),
+    ):
+        res, mon = jb.detect(relations, u, y), jb.Monitor(relations)
+        for cuts in (range(81), (0, 7, 22, 23, 61, 80)):
+            state, found = mon.init(), []
+            for first, stop in zip(cuts, cuts[1:], strict=False):
+                state, said = mon.run(state, u[first:stop], y[first:stop])
+                found.append(said)
+            np.testing.assert_array_equal(np.concatenate([one.status for one in found]), res.status)
+            np.testing.assert_array_equal(np.concatenate([one.margin for one in found]), res.margin)
+
+
+def test_an_observer_keeps_the_bounds_that_are_stated(rng):
+    u, y = recording(rng)
+    res, stated = (jb.detect(jb.observer(plant(factor)), u, y) for factor in (G, None))
+    np.testing.assert_array_equal(res.status, stated.status)
+    assert (res.outside > 0).any() and extrapolated(jb.observer(plant(G))) is None
+
+
+def test_a_certificate_outside_proves_the_verdict(rng):
+    u, y = recording(rng)
+    res, stated = (jb.detect(jb.parity_relations(plant(factor), 3), u, y) for factor in (G, None))
+    eased = np.flatnonzero((stated.status == jb.Status.FAULT) & (res.status == jb.Status.CONSISTENT))
+    assert len(eased)
+    for k in eased.tolist():
+        assert res.explain(k).proves == jb.Status.CONSISTENT
+    for k in np.flatnonzero((res.status == jb.Status.FAULT) & (res.outside > 0)).tolist():
+        proof = res.explain(k)  # of the bounds as stated, which the model file has
+        assert proof.proves == jb.Status.FAULT and proof.factor > G
+
+
+def test_an_alarm_says_how_wide_bounds_outside_are(rng):
+    u, y = recording(rng)
+    alarms = jb.detect(jb.parity_relations(plant(G), 3), u, y).alarms()
+    said = {alarm.outside_by for alarm in alarms if alarm.outside}
+    assert "u1 at -3, training from -1, where bounds are 1.5 times as wide" in said

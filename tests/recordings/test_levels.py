@@ -1,0 +1,109 @@
+"""Columns that are no levels: angles and counters, the same by every door and in pieces; who is suspected."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import jaxbound as jb
+from jaxbound.recordings.expressions import expression, with_angles
+from jaxbound.recordings.pipetext import PipeText
+from jaxbound.recordings.read import open_source
+from jaxbound.recordings.signals import Signals
+
+T = 60
+MODEL = Signals(
+    ("flow",),
+    ("north", "energy"),
+    {"flow": "= rate(count, 65536)", "energy": "= rate(total)", "north": "= cos(angle(wind))"},
+    2.0,
+)
+
+
+def frame(rng):
+    """Return counters of which one runs over and one begins anew, a gap, a missing count, and a wind."""
+    table = pd.DataFrame({"time": np.arange(T) * 2.0, "wind": (340.0 + np.arange(T)) % 360})
+    table["count"] = ((65_400 + np.cumsum(rng.integers(1, 9, T))) % 65_536).astype(float)
+    table["total"] = np.cumsum(rng.random(T))
+    table.loc[30:, "total"] -= table["total"][30]
+    table.loc[40:, "time"] += 100
+    table.loc[20, "count"] = np.nan
+    return table
+
+
+def expected(table):
+    """Return (u, y) by hand."""
+    flow, energy = np.full((2, T), np.nan)
+    for k in range(1, T):
+        step = table["time"][k] - table["time"][k - 1]
+        if step != 2:
+            continue
+        flow[k] = (table["count"][k] - table["count"][k - 1]) % 65_536 / step
+        if table["total"][k] >= table["total"][k - 1]:
+            energy[k] = (table["total"][k] - table["total"][k - 1]) / step
+    return flow[:, None], np.stack([np.cos(np.radians(table["wind"])), energy], 1)
+
+
+def through_pipe(path, size):
+    pipe = PipeText(MODEL, lambda kind, sentence: None)
+    data = path.read_bytes()
+    pieces = [pipe.take(data[k : k + size]) for k in range(0, len(data), size)]
+    return [piece for piece in pieces if piece is not None]
+
+
+@pytest.mark.parametrize("size", [1, 97, 10_000])
+def test_rates_and_angles_are_the_same_by_file_parquet_table_and_pipe(tmp_path, rng, size):
+    table = frame(rng)
+    u, y = expected(table)
+    table.to_csv(tmp_path / "run.csv", index=False)
+    table.to_parquet(tmp_path / "run.parquet", row_group_size=7)
+    whole = jb.read(tmp_path / "run.csv", MODEL)
+    np.testing.assert_allclose(whole.u, u, rtol=1e-12)
+    np.testing.assert_allclose(whole.y, y, rtol=1e-12)
+    parts = [piece for _, piece in open_source(tmp_path / "run.parquet", MODEL).pieces(min(size, T))]
+    for pieces in ([jb.Recording.of(MODEL, table)], parts, through_pipe(tmp_path / "run.csv", size)):
+        np.testing.assert_array_equal(np.concatenate([piece.u for piece in pieces]), whole.u)
+        np.testing.assert_array_equal(np.concatenate([piece.y for piece in pieces]), whole.y)
+
+
+def test_a_rate_does_not_look_at_a_sample_that_is_left_out(tmp_path, rng):
+    table = frame(rng)
+    table.to_csv(tmp_path / "run.csv", index=False)
+    model = Signals(MODEL.inputs, MODEL.outputs, MODEL.columns | {"where": "wind != 350"}, 2.0)
+    whole, of_table = jb.read(tmp_path / "run.csv", model), jb.Recording.of(model, table)
+    assert np.isnan(whole.u[[10, 11], 0]).all() and np.isnan(whole.y[10:12, 1]).all()
+    assert whole.y[11, 0] == 1.0 * np.cos(351 * (2 * np.pi / 360))
+    np.testing.assert_array_equal(whole.u, of_table.u)
+    np.testing.assert_array_equal(whole.y, of_table.y)
+
+
+def test_a_counter_that_begins_anew_has_not_run_over():
+    """From 40 000 to 0 it would have grown by 25 536 of 65 536: nobody knows."""
+    step, x = np.ones(3), np.array([39_990.0, 40_000.0, 0.0])
+    values = expression("rate(n, 65536)").values({"n": x, "= seconds since the sample before": step})
+    np.testing.assert_array_equal(values, [np.nan, 10.0, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("angle(wind)", "jumps where it is once around"),
+        ("abs(angle(wind))", "jumps where it is once around"),
+        ("rate(3)", "gives rate no column"),
+        ("sin(angle())", "gives angle no column"),
+        ("rate(n, n)", "one number above 0"),
+        ("rate(n, 8, 8)", "one number above 0"),
+        ("sin(angle(wind, -1))", "one number above 0"),
+    ],
+)
+def test_what_an_angle_and_a_rate_take(text, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        expression(text)
+
+
+def test_an_angle_stands_for_two_signals():
+    names, columns = with_angles(
+        ["d", "T", "s"], {"d": "=angle(`wind dir`, 400)", "s": "= angle(a) < angle(b)"}
+    )
+    assert names == ("d sin", "d cos", "T", "s")
+    assert columns["d cos"] == "= cos(angle(`wind dir`, 400))"
+    assert expression(columns["d sin"]).values({"wind dir": np.array([100.0])}) == pytest.approx([1.0])

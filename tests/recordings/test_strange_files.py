@@ -1,0 +1,374 @@
+"""Files as loggers, historians and spreadsheets write them: whatever stands around the samples, and however
+stamps and numbers are written, the samples are those of the plain file, or a sentence counts what is left
+out; a pipe, Parquet and a table of the same samples say the same.
+"""
+
+import datetime
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import jaxbound as jb
+from jaxbound.models.modelfile import model_text
+from jaxbound.recordings.pipetext import PipeText
+from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.recordingformat import format_of, with_format
+
+COUNT, DT = 40, 60
+BEGIN = datetime.datetime(2026, 3, 13)
+PLANT = jb.LinearSystem(
+    [["0.93"]],
+    [["0.035"]],
+    [[1]],
+    dt=DT,
+    noise="0.11",
+    resolution="0.005",
+    offset={"u": [0], "y": [20]},
+    inputs=["heater"],
+    outputs=["temp"],
+    horizon=4,
+)
+WINDOWS = jb.parity_relations(PLANT)
+
+
+def samples(rng):
+    """Return (heater, temp) of a healthy plant, (COUNT,) each, with few decimals."""
+    u = np.repeat(rng.choice([20.0, 40.0, 60.0, 80.0], 5), 8)
+    x, y = 35.0, []
+    for value in u:
+        y.append(round(x + rng.uniform(-0.1, 0.1), 2))
+        x = 20 + 0.93 * (x - 20) + 0.035 * value
+    return u, np.array(y)
+
+
+def clock24(t):
+    before = t - datetime.timedelta(days=1)
+    return f"{before:%Y-%m-%d} 24:00:00" if (t.hour, t.minute) == (0, 0) else f"{t:%Y-%m-%d %H:%M:%S}"
+
+
+def since(t):
+    return int((t - BEGIN).total_seconds())
+
+
+STAMPS = {
+    "iso": "%Y-%m-%d %H:%M:%S",
+    "iso T": "%Y-%m-%dT%H:%M:%S+01:00",
+    "German": "%d.%m.%Y %H:%M:%S",
+    "two digits": "%d.%m.%y %H:%M",
+    "American": "%m/%d/%Y %I:%M:%S%p",
+    "English": "%d/%m/%Y %H.%M.%S",
+    "historian": "%d-%b-%y %H:%M:%S",
+    "mail": "%a %d %b %Y %H:%M:%S GMT",
+    "ctime": "%a %b %d %H:%M:%S %Y",
+    "Apache": "[%d/%b/%Y:%H:%M:%S +0100]",
+    "zone by name": "%Y-%m-%d %H:%M:%S CET",
+    "zone by place": "%Y-%m-%d %H:%M:%S Europe/Berlin",
+    "day of the year": "%Y-%j %H:%M:%S",
+    "ISO week": "%G-W%V-%u %H:%M",
+    "file name": "%Y.%m.%d_%H-%M-%S",
+    "midnight at 24": clock24,
+    "German month": lambda t: f"{t:%d}. März {t:%Y %H:%M:%S}",
+    "epoch": lambda t: str(since(t) + 1773360000),
+    "seconds": lambda t: str(since(t)),
+    "pandas": lambda t: f"0 days {t:%H:%M:%S}",
+    "elapsed": lambda t: f"{30 + t.hour}:{t:%M:%S}",
+    "ISO span": lambda t: f"PT{since(t)}S",
+}
+
+
+def with_point(x):
+    return repr(x)
+
+
+def with_comma(x):
+    return repr(x).replace(".", ",")
+
+
+DIALECTS = {  # (delimiter, how a number is written, whether cells are quoted)
+    "plain": (",", with_point, False),
+    "German": (";", with_comma, False),
+    "tabs": ("\t", with_comma, False),
+    "quoted commas": (",", with_comma, True),
+    "units in cells": (";", lambda x: f"{with_comma(x)} °C", False),
+    "units in cells, quoted": (",", lambda x: f"{x!r} kW", True),
+}
+
+
+def without(lines, k):
+    return [line for number, line in enumerate(lines) if number != k]
+
+
+def no_damage(lines, d, at):
+    return lines, [], ""
+
+
+def units(lines, d, at):
+    return (
+        [lines[0], d.join(["[s]", "%", "degC"]), d.join(["", "Smp", "Avg"]), *lines[1:]],
+        [],
+        "hold no samples",
+    )
+
+
+def dimensionless(lines, d, at):
+    return [lines[0], d.join(["s", "1", "degC"]), *lines[1:]], [], "holds no samples"
+
+
+def preamble(lines, d, at):
+    return ["# Logger 7", f"Serial{d}12", "", *lines], [], "holds the names of the columns: 2 rows above it"
+
+
+def header_again(lines, d, at):
+    return [*lines[:at], lines[0], *lines[at:]], [], "repeats what stands above"
+
+
+def footer(lines, d, at):
+    return [*lines, "Total rows: 40"], [], "holds no sample, behind the last"
+
+
+def footer_of_cells(lines, d, at):
+    return (
+        [*lines, d.join(["Average", "1", "2"]), d.join(["Max", "3", "4"])],
+        [],
+        "2 rows hold no sample, behind",
+    )
+
+
+def footer_without_time(lines, d, at):
+    return [*lines, d.join(["", "1", "2"])], [], "holds no time"
+
+
+def delimiter_more(lines, d, at):
+    return [lines[0], *(line + d for line in lines[1:])], [], "has a delimiter more"
+
+
+def blank_cells(lines, d, at):
+    return [*lines[:at], d + d, *lines[at:], d + d], [], "2 rows hold no cell"
+
+
+def no_time(lines, d, at):
+    cells = lines[at].partition(d)
+    return [*lines[:at], "".join(["", *cells[1:]]), *lines[at + 1 :]], [at - 1], "holds no time"
+
+
+def power_cut(lines, d, at):
+    return (
+        [*lines[:at], lines[at][:5] + "\0" * 64 + lines[at][9:], *lines[at + 1 :]],
+        [at - 1],
+        "holds zero bytes",
+    )
+
+
+def cut(lines, d, at):
+    return [*lines[:-1], lines[-1][:-1] + "\0END"], [COUNT - 1], "line end"
+
+
+DAMAGE = (
+    no_damage,
+    units,
+    dimensionless,
+    preamble,
+    header_again,
+    footer,
+    footer_of_cells,
+    footer_without_time,
+    delimiter_more,
+    blank_cells,
+    no_time,
+    power_cut,
+    cut,
+)
+
+
+def written(u, y, stamp, dialect, damage, at):
+    """Return (bytes of a file, places of the samples that it lost, what a sentence says of it)."""
+    delimiter, number, quoted = DIALECTS[dialect]
+    form = STAMPS[stamp]
+    rows = [["time", "heater", "temp"]]
+    for k, (a, b) in enumerate(zip(u.tolist(), y.tolist(), strict=True)):
+        t = BEGIN + datetime.timedelta(seconds=DT * k)
+        rows.append([form(t) if callable(form) else t.strftime(form), number(a), number(b)])
+    lines = [delimiter.join(f'"{cell}"' if quoted else cell for cell in row) for row in rows]
+    lines, lost, sentence = damage(lines, delimiter, at)
+    text = "\n".join([*lines, ""])
+    if text.endswith("\0END\n"):
+        text = text.removesuffix("\0END\n")
+    return text.encode(), lost, sentence
+
+
+def from_pipe(data, model, cuts):
+    """Return (Recording of all pieces, sentences) of bytes that come in pieces."""
+    said, edges = [], [0, *cuts, len(data)]
+    pipe = PipeText(model, lambda kind, sentence: said.append(sentence))
+    pieces = [pipe.take(data[a:b]) for a, b in zip(edges, edges[1:], strict=False)]
+    pipe.ended()
+    pieces = [piece for piece in pieces if piece is not None]
+    whole = pieces[0]
+    for piece in pieces[1:]:
+        whole = whole.followed(piece)
+    return whole, said
+
+
+def check(path, rng, stamp, dialect, damage):
+    """Compare a file that is drawn with its samples, through every door."""
+    u, y = samples(rng)
+    data, lost, sentence = written(u, y, stamp, dialect, damage, int(rng.integers(3, COUNT - 2)))
+    path.write_bytes(data)
+    kept = np.setdiff1d(np.arange(COUNT), lost)
+    run = jb.read(path, PLANT)
+    about = f"{stamp}, {dialect}, {damage.__name__}: {run.hints}"
+    assert run.samples == len(kept), about
+    np.testing.assert_array_equal(run.u[:, 0], u[kept], about)
+    np.testing.assert_array_equal(run.y[:, 0], y[kept], about)
+    np.testing.assert_array_equal(run.time - run.time[0], DT * (kept - kept[0]), about)
+    assert sentence in " ".join(run.hints), about
+    assert (jb.detect(WINDOWS, run).status != jb.Status.FAULT).all(), about
+    cuts = sorted(rng.integers(0, len(data), 5).tolist())
+    live, said = from_pipe(data, PLANT, cuts)
+    np.testing.assert_array_equal(live.u, run.u, f"{about} {said}")
+    np.testing.assert_array_equal(live.y, run.y, f"{about} {said}")
+    np.testing.assert_allclose(np.diff(live.time), np.diff(run.time))
+    index = pd.DatetimeIndex([BEGIN + datetime.timedelta(seconds=DT * int(k)) for k in kept], name="time")
+    frame = pd.DataFrame({"heater": u[kept], "temp": y[kept]}, index=index)
+    table = Recording.of(PLANT, frame)
+    assert table.u.tobytes() == run.u.tobytes() and table.y.tobytes() == run.y.tobytes()
+    assert table.starts.tolist() == run.starts.tolist(), about
+    frame.reset_index().to_parquet(path.with_suffix(".parquet"))
+    assert jb.read(path.with_suffix(".parquet"), PLANT).y.tobytes() == run.y.tobytes()
+
+
+@pytest.mark.parametrize("stamp", STAMPS)
+def test_every_form_of_time_stamps_is_read(tmp_path, stamp):
+    rng = np.random.default_rng(len(stamp))
+    check(tmp_path / "run.csv", rng, stamp, "German", no_damage)
+
+
+@pytest.mark.parametrize("damage", DAMAGE, ids=lambda damage: damage.__name__)
+def test_rows_that_are_no_data_are_left_out_and_counted(tmp_path, damage):
+    rng = np.random.default_rng(len(damage.__name__))
+    for stamp, dialect in (("iso", "plain"), ("seconds", "German")):
+        check(tmp_path / "run.csv", rng, stamp, dialect, damage)
+
+
+@pytest.mark.parametrize("count", [12, 5000])
+def test_drawn_files_are_read_as_they_were_meant_or_say_what_is_left_out(tmp_path, count):
+    rng = np.random.default_rng(48)
+    for _ in range(count):
+        stamp, dialect = rng.choice(list(STAMPS)), rng.choice(list(DIALECTS))
+        check(tmp_path / "run.csv", rng, str(stamp), str(dialect), DAMAGE[rng.integers(len(DAMAGE))])
+
+
+CELLS = {  # (delimiter, cells of temp, their numbers; None: refused)
+    "commas in quotes": (",", ['"40,0"', '"40,25"', '"7"'], [40, 40.25, 7]),
+    "below one": (",", ['"0,125"', '"0,250"', '"0,5"'], [0.125, 0.25, 0.5]),
+    "decimals or thousands": (",", ['"40,125"', '"40,250"', '"7"'], None),
+    "percent": (";", ["97 %", "97,25 %", "-1 %"], [97, 97.25, -1]),
+    "percent in a comma file": (",", ["97 %", "97.125 %", "-1e2 %"], [97, 97.125, -100]),
+    "thousandths or thousands of a unit": (";", ["97.125 %", "97.250 %", "97.375 %"], None),
+    "two units": (",", ["5 kW", "500 W", "6 kW"], None),
+    "a unit now and then": (",", ["5 kW", "6", "7 kW"], None),
+    "minus": (",", ["\u22121.5", "2", "\u22120.25"], [-1.5, 2, -0.25]),
+    "on": (",", ["ON", "OFF", "on"], [1, 0, 1]),
+    "true": (",", ["true", "false", "True"], [1, 0, 1]),
+    "on and true": (",", ["ON", "false", "ON"], None),
+    "on and a number": (",", ["ON", "1", "OFF"], None),
+    "English": (",", ['"35,010.5"', "998", '"1,234,567"'], [35010.5, 998, 1234567]),
+    "German": (";", ["35.010,5", "998", "1.002"], [35010.5, 998, 1002]),
+    "Swiss": (",", ["35'010.5", "998", "1'002"], [35010.5, 998, 1002]),
+    "French": (";", ["35\u202f010,5", "998", "1\u00a0002"], [35010.5, 998, 1002]),
+    "a word": (",", ["1", "Bad", "2"], None),
+}
+THREE = PLANT.replace(inputs=["heater"], dt=60)
+
+
+def small(cells, delimiter, more=()):
+    lines = [delimiter.join(["time", "heater", "temp"])]
+    lines += [delimiter.join([str(60 * k), "1", cell]) for k, cell in enumerate(cells)]
+    return "\n".join([*lines, *more, ""])
+
+
+@pytest.mark.parametrize("case", CELLS)
+def test_a_column_is_read_where_all_its_cells_have_one_notation(tmp_path, case):
+    delimiter, cells, numbers = CELLS[case]
+    path = tmp_path / "run.csv"
+    path.write_text(small(cells, delimiter), encoding="utf-8")
+    frame = pd.DataFrame({"heater": 1.0, "temp": [cell.strip('"') for cell in cells]})
+    if numbers is None:
+        with pytest.raises(ValueError, match="row . of column 'temp' holds .* which is not a number"):
+            jb.read(path, THREE)
+        return
+    run = jb.read(path, THREE)
+    assert run.y[:, 0].tolist() == numbers and "column 'temp' is read as written, like" in " ".join(run.hints)
+    live, said = from_pipe(path.read_bytes(), THREE, [])
+    known = [k for k, time in enumerate(run.time) if time in live.time]  # of others a sentence says why
+    assert live.y[:, 0].tolist() == [numbers[k] for k in known] and len(known) + len(said) == 3
+    if delimiter == ",":
+        assert Recording.of(THREE, frame).y[:, 0].tolist() == numbers
+
+
+def test_a_format_that_is_stated_is_read_by_all_doors_and_kept_by_the_model_file(tmp_path):
+    how = {"missing": "Bad,-999", "on": "open", "off": "shut", "comment": "//", "skip": "4"}
+    model = THREE.replace(columns=with_format({}, how))
+    text = "// pump 3\ntime,heater,temp\n0,open,1\n60,shut,77\n// a note\n"
+    text += "120,open,Bad\n180,shut,-999.0\n240,open,2\n"
+    path = tmp_path / "run.csv"
+    path.write_text(text)
+    run = jb.read(path, model)
+    assert run.u[:, 0].tolist() == [1, 1, 0, 1] and run.time.tolist() == [0, 120, 180, 240]
+    np.testing.assert_array_equal(run.y[:, 0], [1, np.nan, np.nan, 2])
+    np.testing.assert_array_equal(jb.read(path, THREE, recording=how).y, run.y)
+    np.testing.assert_array_equal(from_pipe(text.encode(), model, [9, 40])[0].y, run.y)
+    frame = pd.DataFrame({"heater": ["open", "open"], "temp": ["Bad", -999.0]})
+    assert np.isnan(Recording.of(model, frame).y).all()
+    jb.save_model(model, tmp_path / "m.toml")
+    again = jb.load_model(tmp_path / "m.toml")
+    assert again == model and format_of(again).missing == ("Bad", "-999")
+    with pytest.raises(ValueError, match="has no field 'decimals'"):
+        jb.read(path, THREE, recording={"decimals": ","})
+
+
+def test_rows_of_one_time_and_blank_cells_are_read_as_stated(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("time,heater,temp\n0,1,1\n0,1,2\n60,,3\n120,,4\n180,,5\n")
+    for which, first in (("first", 1), ("last", 2)):
+        run = jb.read(path, THREE, recording={"equal": which, "hold": "2min"})
+        assert run.y[:, 0].tolist() == [first, 3, 4, 5] and "1 row" in f"1 row{run.hints}"
+        np.testing.assert_array_equal(run.u[:, 0], [1, 1, 1, np.nan])
+        assert "has the time of another row" in " ".join(run.hints)
+    with pytest.raises(ValueError, match="hold of .recording. is for CSV files, not for a pipe"):
+        PipeText(THREE.replace(columns=with_format({}, {"hold": "1min"})), print)
+
+
+def test_clocks_of_a_zone_have_the_hours_of_that_zone(tmp_path):
+    path = tmp_path / "run.csv"
+    for begin, steps in (("2026-03-29 00:30", 6), ("2026-10-25 00:30", 6)):
+        stamps = pd.date_range(begin, periods=steps, freq="1h", tz="Europe/Berlin").tz_localize(None)
+        path.write_text("time,heater,temp\n" + "".join(f"{t},1,1\n" for t in stamps))
+        hourly = THREE.replace(dt=3600)
+        run = jb.read(path, hourly, recording={"zone": "Europe/Berlin"})
+        assert np.diff(run.time).tolist() == [3600] * 5 and len(run.starts) == 0
+        assert len(jb.read(path, hourly).starts) == 1  # without the zone the clock jumps
+        zoned = hourly.replace(columns=with_format({}, {"zone": "Europe/Berlin"}))
+        live, _ = from_pipe(path.read_bytes(), zoned, [30, 60, 90, 120])
+        assert np.diff(live.time).tolist() == [3600] * 5
+
+
+def test_fit_keeps_the_order_of_day_and_month_for_a_day_that_does_not_show_it(tmp_path):
+    rng = np.random.default_rng(5)
+    runs = []
+    for name, form in (("days", "%d/%m/%Y %H:%M"), ("plain", "%Y-%m-%d %H:%M")):
+        rng = np.random.default_rng(5)
+        u, y = samples(rng)
+        t = [datetime.datetime(2026, 3, 2) + datetime.timedelta(hours=9 * k) for k in range(COUNT)]
+        path = tmp_path / f"{name}.csv"
+        rows = [f"{a:{form}},{b},{c}\n" for a, b, c in zip(t, u, y, strict=True)]
+        path.write_text("time,heater,temp\n" + "".join(rows))
+        runs.append(jb.fit(path, order=1, horizon=4, inputs=["heater"], outputs=["temp"]))
+    ordered, plain = runs
+    assert format_of(ordered).time_format == "%d/%m/%Y" and format_of(plain).stated == {}
+    text = model_text(ordered.replace(columns=plain.columns))
+    assert text == model_text(plain.replace(columns=plain.columns))
+    (tmp_path / "day.csv").write_text(path.read_text()[:17] + "02/03/2026 10:00,1,1\n02/03/2026 19:00,1,1\n")
+    assert str(jb.read(tmp_path / "day.csv", ordered).stamps[0]).startswith("2026-03-02")
+    assert str(jb.read(tmp_path / "day.csv", plain).stamps[0]).startswith("2026-02-03")
