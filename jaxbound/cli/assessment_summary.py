@@ -151,7 +151,7 @@ def _cells(score: Score) -> tuple[str, ...]:
     if score.episodes:
         seen = f"{len(score.delays)} of {score.episodes}"
     return (
-        f"{score.factor:g}",
+        f"{score.factor:.4g}",
         rule_text(score),
         _percent_or_dash(score.false_share),
         _shown(score.alarms_a_day),

@@ -50,10 +50,10 @@ class Alarm:
     names them; size:
     errors of the first of up to this size, another at each sample, explain the window at `worst`, no smaller
     ones, in its unit, NaN where it is none of a sensor (`diagnose` has the sizes of a constant one); cause:
-    in this window, too, the most plausible of the faults that the model names, with its sizes; both of the
-    first window where this signal does not explain the worst one alone. `diagnose` looks at more windows of
-    the alarm; test: of a monitor the name of the test that speaks at sample `worst`, else ""; ended: why it
-    is over, of which no verdict is a proof, one of
+    in this window, too, the most plausible of the faults that the model names, with its sizes; the size is
+    that of the first window where this signal does not explain the worst one alone. `diagnose` looks at more
+    windows of the alarm; test: of a monitor the name of the test that speaks at sample `worst`, else "";
+    ended: why it is over, of which no verdict is a proof, one of
 
     - "still on at the last sample", "no data after it";
     - "its onset may have left the window: repaired or lasting": every FAULT window reaches back to the first

@@ -88,16 +88,19 @@ def nameless(relations: Relations) -> str:
     return ""
 
 
-def suspect_of_window(relations: Relations, u: np.ndarray, y: np.ndarray, first: str = "") -> Suspect:
+def suspect_of_window(
+    relations: Relations, u: np.ndarray, y: np.ndarray, first: str | None = None
+) -> Suspect:
     """Return the suspects of the FAULT window that samples u (s+1, m), y (s+1, p) are. first: comes first if
-    it is one of them.
+    it is one of them, and the cause is asked for, which takes longest; None: it is not.
     """
     try:
         certificate = certify(relations, u, y, status=Status.FAULT)
     except NotImplementedError:  # no proof by one relation
         return UNKNOWN
-    names, cause = certificate.candidates, _cause(certificate)
-    names = tuple(sorted(names, key=first.__ne__))
+    names, cause = certificate.candidates, ""
+    if first is not None:
+        names, cause = tuple(sorted(names, key=first.__ne__)), _cause(certificate)
     if not names:
         return UNKNOWN._replace(cause=cause)
     errors = certificate.errors

@@ -122,15 +122,16 @@ class Watching:
         return alarms
 
     def _sized(self, one: Raised) -> Suspect:
-        """Return the suspects of an alarm with size and cause in its worst window, if the first of them alone
-        explains that, too.
+        """Return the suspects of an alarm with the cause of its worst window, and the size there if the first
+        of them alone explains it.
         """
-        if self.watch.blame is None or one.worst == one.run:
+        if self.watch.blame is None:
             return one.suspect
         worst = self._blame(one.worst, one.test, one.suspect.first)
-        if worst.first != one.suspect.first:
-            return one.suspect
-        return one.suspect._replace(size=worst.size, cause=worst.cause)
+        suspect = one.suspect._replace(cause=worst.cause)
+        if worst.first == suspect.first:
+            suspect = suspect._replace(size=worst.size)
+        return suspect
 
     def name_of(self, test: int) -> str:
         """Return the name of a test of a monitor by its number; "" of none."""
@@ -158,9 +159,9 @@ class Watching:
         counts[first:stop] = severity.reached(u, y, around, by)[before:]
         return counts
 
-    def _blame(self, sample: int, test: int, first: str = "") -> Suspect:
+    def _blame(self, sample: int, test: int, first: str | None = None) -> Suspect:
         """Return the suspects of the window that ends at a sample, of a monitor of the test that speaks.
-        first: comes first if it alone explains the window.
+        first: as of `suspect_of_window`.
         """
         if not self.names:
             u, y = self.samples(sample - self.relations.horizon, sample + 1)

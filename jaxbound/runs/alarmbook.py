@@ -236,14 +236,13 @@ class LiveAlarms(TimedAlarms):
     def add(self, piece: Recording, verdicts: Verdicts) -> None:
         """Follow the alarms through the next samples."""
         begin = self.watch.samples
+        self._drop()
         if self.width:
             self.u = np.concatenate([self.u, np.asarray(piece.u)])
             self.y = np.concatenate([self.y, np.asarray(piece.y)])
         over = self.taken(piece, verdicts)
         if self.watch.blame is not None:
             self._keep(over)
-        drop = len(self.u) - self.width
-        self.u, self.y, self.begin = self.u[drop:], self.y[drop:], self.begin + drop
         troubles = [*self.watch.acknowledged.troubles.values()]
         for sentence in troubles[self.complained :]:
             self.complain("acknowledged", sentence)
@@ -273,6 +272,11 @@ class LiveAlarms(TimedAlarms):
             return u[len(u) - (stop - first) :], y[len(y) - (stop - first) :]
         at = slice(first - self.begin, stop - self.begin)
         return self.u[at], self.y[at]
+
+    def _drop(self) -> None:
+        """Forget all samples but the last ones."""
+        drop = len(self.u) - self.width
+        self.u, self.y, self.begin = self.u[drop:], self.y[drop:], self.begin + drop
 
     def _keep(self, over: Sequence[Raised]) -> None:
         """Keep the windows in which alarms are deepest, as their sizes are asked for when they are over."""
@@ -307,6 +311,7 @@ class LiveAlarms(TimedAlarms):
 
     def memory(self) -> dict[str, Any]:
         """Return the alarms that are on, and the last samples."""
+        self._drop()
         worst = [(sample, as_texts(window)) for sample, window in self.worst.items()]
         return super().memory() | {"samples": as_texts((self.u, self.y)), "worst": worst}
 
@@ -322,13 +327,13 @@ class LiveAlarms(TimedAlarms):
     def _notice(self, event: Event) -> dict[str, Any]:
         """Return the notice of the begin or the end of an alarm."""
         raised = event.alarm
-        names, _, _, cause = raised.suspect
         suspect = {}
         if self.rule.names:
-            suspect = {"suspect": (*names, None)[0]}
-        if self.shows.causes:
-            suspect["cause"] = cause or None
+            suspect = {"suspect": (*raised.suspect.names, None)[0]}
         if event.kind == BEGINS:
+            if self.shows.causes and self.watch.blame is not None:
+                first = self._blame(raised.start, raised.begun_by, raised.suspect.first)
+                suspect["cause"] = first.cause or None
             told = {"alarm": "begin", "number": event.number, "sample": raised.start}
             told |= {"time": self._text(raised.start), **suspect}
             if self.relations.parts:

@@ -55,3 +55,17 @@ def test_a_cause_that_rests_on_extrapolation_says_so(two_faults):
     found = two_faults.diagnose(3, 4)
     assert found.first == "y2 is off: +1.9 to +2.1 of y2"
     assert str(found).endswith("rest on extrapolation, u at 3, training up to 1")
+
+
+def test_a_cause_of_the_physical_quantity_leaves_detection_its_own_signals():
+    """A coil heats by its valve times the fan; the product as an input changes what is tested."""
+    plain = jb.LinearSystem(None, None, None, [[2, 1]], noise=0.1, inputs=["heat", "fan"])
+    leaks = jb.NamedFault("valve leaks", input="heat", times="fan", sign="+")
+    shut = jb.NamedFault("valve is off", input="heat")
+    named = plain.replace(faults=[leaks, shut])
+    u = np.array([[0.2, 0.5], [0.4, 1.0], [0.1, 2.0], [0.3, 1.5]])
+    y = u @ [[2.0], [1.0]] + 2 * 0.3 * u[:, 1:]
+    res, other = (jb.detect(jb.parity_relations(m, 3), u, y) for m in (named, plain))
+    assert res.status[-1] == jb.Status.FAULT and np.array_equal(res.margin, other.margin, equal_nan=True)
+    found = res.explain(3).diagnose()
+    assert found.first.startswith("valve leaks: +0.2") and len(found.explains) == 1
