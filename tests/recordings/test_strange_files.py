@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
+from jaxbound.certificates.checker.files import read_model
 from jaxbound.models.modelfile import model_text
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.recording import Recording
@@ -327,6 +328,8 @@ def test_a_format_that_is_stated_is_read_by_all_doors_and_kept_by_the_model_file
     frame = pd.DataFrame({"heater": ["open", "open"], "temp": ["Bad", -999.0]})
     assert np.isnan(Recording.of(model, frame).y).all()
     jb.save_model(model, tmp_path / "m.toml")
+    with pytest.raises(ValueError, match="recording"):  # the checker that stands alone reads plain files
+        read_model(tmp_path / "m.toml")
     again = jb.load_model(tmp_path / "m.toml")
     assert again == model and format_of(again).missing == ("Bad", "-999")
     with pytest.raises(ValueError, match="has no field 'decimals'"):
