@@ -66,7 +66,7 @@ OPTIONS = Options(
         **JSON,
     },
 )
-NEW = ("inputs", "outputs", "recipe", "where", "time", "dt", "every", "name", "plot")
+NEW = ("inputs", "outputs", "recipe", "where", "recording", "dt", "name", "plot")
 """Options that a model which is widened has no use for."""
 
 

@@ -90,6 +90,7 @@ def _read_text(field: str, where: str, value: object) -> str:
 
 
 def _quoted(text: str) -> str:
+    # JSON and TOML quote alike, but for DEL, which TOML does not allow in a text
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -117,6 +118,7 @@ def _fits_a_float(value: int | str) -> bool:
             return False
     exact = Fraction(value)
     try:
+        # a number that floats would take for 0 is refused: kernels would see another model
         return float(exact) != 0 or exact == 0
     except OverflowError:
         return False

@@ -304,6 +304,7 @@ def _measured(
     outputs = named("outputs", bounds.get("outputs"), len(y0), "y")
     own = sensors(outputs, bounds.get("tolerance", 0), bounds.get("noise", 0), None, False)
     noise = list(own.noise)
+    # the plane need not go through the output at the working point, which is the offset
     left_out = abs(g.constant - np.array(y0, object)) + g.remainder
     for i, reach in enumerate(left_out):  # a sensor multiplies it by 1 + theta
         noise[i] += _rounded((1 + own.tolerance[i]) * reach, reach, ceil)
@@ -317,6 +318,7 @@ def _at_zero(g: Affine, middles: tuple[float, ...]) -> tuple[Affine, np.ndarray]
     g = decimals(g)
     move = 0 * g.matrix
     for k, c in enumerate(middles):
+        # parameters count from their middles here, and from 0 in a model
         move = move + Fraction(c) * g.change[:, k]
     zero = decimals(replace(g, matrix=g.matrix - move))
     return zero, zero.matrix
@@ -337,6 +339,7 @@ def _disturbed(g: Affine, n: int, more: Bounded | None) -> tuple[Matrix, Ends]:
 
 def _rounded(x: Fraction, width: Fraction, direction: Callable[[Fraction], int]) -> Fraction:
     """Return a short decimal beyond x, floor or ceil, away by less than a millionth of the width."""
+    # nothing is left over: an exact number stays
     if not width:
         return x
     tick = Fraction(10) ** ((Decimal(width.numerator) / Decimal(width.denominator)).adjusted() - 6)

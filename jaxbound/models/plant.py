@@ -106,6 +106,7 @@ def plant(
     parameters = influences(uncertainties, {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)})
     G, pairs = _disturbance(given.disturbance, n)
     F, D_v = unbounded_inputs(given.unknown_inputs, n, p)
+    # behind the shapes: a coefficient that does not fit would be split into columns of another plant
     trusted, F, D_v = decoupled(parameters, decouple, F, D_v)
     exact_dt = number("dt", dt)
     if not 0 < exact_dt <= Fraction(sys.float_info.max):

@@ -106,6 +106,7 @@ def _independent_columns(u: Uncertainty, n: int, p: int) -> tuple[Matrix, Matrix
         (u.A or linalg.zeros(n, n)) + (u.C or linalg.zeros(p, n)),
         (u.B or linalg.zeros(n, m)) + (u.D or linalg.zeros(p, m)),
     )
+    # as many columns as the rank: more unknown inputs would take relations away
     pivots = linalg.row_reduce(whole)[1]
     columns = tuple(tuple(row[j] for j in pivots) for row in whole)
     return columns[:n], columns[n:]
@@ -158,7 +159,9 @@ def explicit(E: Matrix, given: Matrices) -> tuple[Matrices, tuple[int, ...] | No
             "an equation without x+ puts a disturbance into an output: give it as noise of that output "
             "instead"
         )
+    # what an equation without x+ determines is unknown no more
     left = [j for j in range(stated, stated + n - k + len(D_v[0])) if j not in solved]
+    # a state that is one entry of z keeps its name
     is_picked = all(sum(map(bool, row)) == 1 for row in x)
     solved_for = Matrices(
         A=columns_of(rows, state),
@@ -187,6 +190,7 @@ def _solved(equations: Matrix, known: int) -> dict[int, Vector]:
                 "an equation without x+ restricts the states themselves: use it, or its shifted form, to "
                 "remove a state first"
             )
+        # back in the order of the rows that it will be taken out of
         solved[known + j] = row[unknown:] + row[:unknown]
     return solved
 

@@ -177,18 +177,25 @@ def widen(
     for one in recordings if isinstance(recordings, list) else [recordings]:
         parts: Any = one if isinstance(one, tuple) and is_pair(one) else (one,)
         days.append(recorded(bank.plant, *parts).finite())
-    grown = {}
-    for number, name in enumerate(bank.names):
-        grown[name] = _grown(bank, number, days, float(most))
-        report(0.9 * (number + 1) / bank.count)
+    grown = _grown(bank, days, float(most))
+    report(0.5)
     records = [(day.u[:, : model.m], day.y, day.starts) for day in days]
-    wide, ranges = _widened(model, grown), dict(_ranges(model, records))
+    ranges = dict(_ranges(model, records))
+    if ranges:
+        moved = {name: after for name, (_, after) in ranges.items()}
+        region = model.replace(ranges={**model.ranges, **moved})
+        inside = monitor(region, tests)
+        # outside of training bounds are wider: where these alone hold a recording, it stays outside
+        if any(one.factor > 1 for one in grown.values()) or _holds(inside, days):
+            model, grown = region, _grown(inside, days, float(most))
+        else:
+            ranges = {}
+    report(0.9)
+    wide = _widened(model, grown)
     if wide is not model or ranges:
         source = listed((place(days, number) for number in range(len(days))), str)
         origin = f"{model.provenance.get('noise', 'not stated')}; widened by {source}"
-        moved = {name: after for name, (_, after) in ranges.items()}
-        origins = {**model.provenance, "noise": origin}
-        wide = wide.replace(provenance=origins, ranges={**model.ranges, **moved})
+        wide = wide.replace(provenance={**model.provenance, "noise": origin})
     widened = Widened(wide, grown, days, ({}, {}), ({}, {}), ranges)
     wider, scales = monitor(wide, tests), scales_of(records)
     if bank.conditions and any(detect(wider, day).counts["FAULT"] for day in days):
@@ -219,7 +226,30 @@ def _tests_of(model: object) -> StatedTests | None:
     return [{"name": f"observer {method.name}", **observer_fields(method)}]
 
 
-def _grown(bank: MonitorBank, number: int, days: Sequence[Recording], most: float) -> Grown:
+def _seen(bank: MonitorBank, number: int, recording: Recording) -> Recording:
+    """Return a recording as a test sees it: where its condition is not known, it has nothing to explain."""
+    modes = bank.modes_of(recording.u)
+    return bank.seen_by(number, recording, np.where(modes == UNKNOWN, NO, modes))
+
+
+def _holds(bank: MonitorBank, days: Sequence[Recording]) -> bool:
+    """Return whether no test of a monitor asks for wider bounds."""
+    for number, watch in enumerate(bank.watches):
+        if any(_need(watch.relations, _seen(bank, number, day))[0] for day in days):
+            return False
+    return True
+
+
+def _grown(bank: MonitorBank, days: Sequence[Recording], most: float) -> dict[str, Grown]:
+    """Return the widening of each test under which it holds recordings, by its name.
+
+    Raises:
+        ValueError: as `_grown_test`.
+    """
+    return {name: _grown_test(bank, number, days, most) for number, name in enumerate(bank.names)}
+
+
+def _grown_test(bank: MonitorBank, number: int, days: Sequence[Recording], most: float) -> Grown:
     """Return the widening of one test under which it holds recordings.
 
     Raises:
@@ -227,8 +257,7 @@ def _grown(bank: MonitorBank, number: int, days: Sequence[Recording], most: floa
     """
     test, widest = bank.plant.tests[number], Grown()
     for day, recording in enumerate(days):
-        modes = bank.modes_of(recording.u)
-        own = bank.seen_by(number, recording, np.where(modes == UNKNOWN, NO, modes))
+        own = _seen(bank, number, recording)
         for _ in range(ATTEMPTS):
             relations = relations_of_test(bank.plant, _times(test, widest.factor))
             need, sample = _need(relations, own)

@@ -140,15 +140,8 @@ def fit(
         (True, True)
     """
     if add is not None:
-        new = {
-            "recipe": recipe,
-            "inputs": inputs,
-            "outputs": outputs,
-            "dt": dt,
-            "every": every,
-            "units": units,
-        }
-        for field, value in {**new, "columns": columns, **fields}.items():
+        new = {"recipe": recipe, "inputs": inputs, "outputs": outputs, "recording": recording, "dt": dt}
+        for field, value in {**new, "every": every, "units": units, "columns": columns, **fields}.items():
             if value is not None:
                 raise ValueError(f"add widens a model as it is: leave {field} out")
         return widen(add, recordings, MOST if most is None else most, progress)

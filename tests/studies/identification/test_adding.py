@@ -36,7 +36,8 @@ def table(u, y):
 
 def faults(model, day):
     """Return how many samples of a day a model's monitor refutes."""
-    return jb.detect(jb.monitor(model), day).counts["FAULT"]
+    parts = day if isinstance(day, tuple) else (day,)
+    return jb.detect(jb.monitor(model), *parts).counts["FAULT"]
 
 
 def test_a_day_that_is_held_changes_nothing(rng):
@@ -168,3 +169,18 @@ def test_bounds_for_an_observer_are_widened_for_it(rng, tmp_path):
     assert not jb.detect(jb.observer(widened.model), *day).counts["FAULT"]
     with pytest.raises(ValueError, match="for an observer: state it"):
         widen(jb.load_model(tmp_path / "plant.toml"), day)
+
+
+@pytest.mark.parametrize("error", [0.0, 0.25])
+def test_a_day_outside_of_training_is_held_by_the_bounds_that_it_then_has(rng, error):
+    """Outside bounds are wider; the region grows only where bounds inside hold the day, too, or grow."""
+    u, y = course(rng, error, size=0.04, at=(20,))
+    model = plant(ranges={"u": (-0.01, 0.01)}, extrapolation=3)
+    widened = widen(model, (u, y))
+    assert not faults(widened.model, (u, y)) and widened.factor == 1
+    assert widened.changed == (not error)
+    tight = model.replace(extrapolation="1.2")
+    if error:
+        assert faults(tight, (u, y))
+        widened = widen(tight, (u, y))
+        assert widened.factor > 1 and widened.ranges and not faults(widened.model, (u, y))

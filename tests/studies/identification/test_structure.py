@@ -91,3 +91,16 @@ def test_of_unseen_days_fewer_have_a_false_alarm_than_the_promise():
     found = judged("building", 3, 7, 6, method="least squares", horizon=15)
     assert found["days with an alarm"] <= 1 / 4 and found["worst"] <= 1 < 2 * found["worst"]
     assert found["bias"] > found["healthy"] and found["loss"] > found["healthy"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("count", [2, 3, 5, 8])
+def test_so_many_days_keep_their_promise(count):
+    from benchmarks.tomorrow import JUDGED, judged
+
+    alarms = []
+    for plant in JUDGED:
+        for number in range(3):
+            alarms.append(judged(plant, count, 100 * count + number, 10)["days with an alarm"])
+    error = np.std(alarms, ddof=1) / np.sqrt(len(alarms))
+    assert np.mean(alarms) <= 1 / (count + 1) + 2 * error
