@@ -352,7 +352,7 @@ def test_clocks_of_a_zone_have_the_hours_of_that_zone(tmp_path):
     path = tmp_path / "run.csv"
     for begin, steps in (("2026-03-29 00:30", 6), ("2026-10-25 00:30", 6)):
         stamps = pd.date_range(begin, periods=steps, freq="1h", tz="Europe/Berlin").tz_localize(None)
-        path.write_text("time,heater,temp\n" + "".join(f"{t},1,1\n" for t in stamps))
+        path.write_text("time,heater,temp\n" + "".join(f"{t},1,{k}\n" for k, t in enumerate(stamps)))
         hourly = THREE.replace(dt=3600)
         run = jb.read(path, hourly, recording={"zone": "Europe/Berlin"})
         assert np.diff(run.time).tolist() == [3600] * 5 and len(run.starts) == 0
