@@ -362,6 +362,18 @@ def test_clocks_of_a_zone_have_the_hours_of_that_zone(tmp_path):
         assert np.diff(live.time).tolist() == [3600] * 5
 
 
+def test_named_zones_follow_each_other_when_the_clock_goes_forward(tmp_path):
+    stamps = [
+        "2026-03-29 01:58 CET",
+        "2026-03-29 01:59 CET",
+        "2026-03-29 03:00 CEST",
+        "2026-03-29 03:01 CEST",
+    ]
+    (tmp_path / "run.csv").write_text("time,heater,temp\n" + "".join(f"{t},1,1.5\n" for t in stamps))
+    run = jb.read(tmp_path / "run.csv", THREE)
+    assert np.diff(run.time).tolist() == [60, 60, 60] and str(run.stamps[0]).startswith("2026-03-29T00:58")
+
+
 def test_fit_keeps_the_order_of_day_and_month_for_a_day_that_does_not_show_it(tmp_path):
     rng = np.random.default_rng(5)
     runs = []
