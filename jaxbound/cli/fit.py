@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxbound.cli.command import swift_imports
-from jaxbound.cli.options import FORCE, JSON, Options, reading
+from jaxbound.cli.options import FORCE, JSON, Options, reading, sampling
 from jaxbound.cli.terminal import OK, Refused, door, hushed, progress_bars, some_device
 from jaxbound.text.quantities import decimal
 
@@ -51,13 +51,13 @@ OPTIONS = Options(
         "faults; follow=auto: bounds follow the operating point; signals=auto: choose inputs; method: least "
         "squares, windows, filters, auto; safety (default: 1.25); held_out (default: 0.3)",
         "--out MODEL.toml": "the model file to write",
-        **reading("as recorded"),
     },
     {"dt": decimal, "most": decimal},
     {"inputs": "", "outputs": ""},
     more={
         "--where EXPR": "condition on columns: samples where it does not hold are no part of the recording",
-        "--dt SECONDS": "sampling period (default: the median step of the time)",
+        **reading("as recorded", "; dt=60: the sampling period in s (default: the median step of the time)"),
+        "--dt SECONDS": argparse.SUPPRESS,
         "--name NAME": "of the plant (default: that of the model file)",
         "--most F": "with --add: bounds that have to grow by more are refused, for a fault would be learnt "
         "(default: 3)",
@@ -188,6 +188,7 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
     from jaxbound.recordings.recordingformat import with_format
     from jaxbound.recordings.signals import Signals
 
+    recording, dt = sampling(args)
     own: dict[str, str] = {}
     if args.where:
         own["where"] = args.where
@@ -195,17 +196,17 @@ def _signals(args: argparse.Namespace, file: Path | None) -> tuple["Signals", di
         if args.inputs:
             raise ValueError(f"--inputs without --outputs: give both, or none for the signals of {file}")
         model = load_model(file)
-        columns = with_format(dict(model.columns) | own, args.recording)
-        signals = Signals(model.inputs, model.outputs, columns, args.dt or model.dt)
+        columns = with_format(dict(model.columns) | own, recording)
+        signals = Signals(model.inputs, model.outputs, columns, dt or model.dt)
         return signals, dict(model.units), args.name or model.name
     if not args.outputs:
         raise ValueError("--outputs is needed: the columns that the model is to explain")
     inputs, outputs = signal_columns("--inputs", args.inputs), signal_columns("--outputs", args.outputs)
     inputs, outputs, units = named_units(inputs, outputs)
     columns = own | dict(signal for signal in (*inputs, *outputs) if not isinstance(signal, str))
-    input_names, columns = with_angles(_names(inputs), with_format(columns, args.recording))
+    input_names, columns = with_angles(_names(inputs), with_format(columns, recording))
     output_names, columns = with_angles(_names(outputs), columns)
-    signals = Signals(input_names, output_names, columns, args.dt)
+    signals = Signals(input_names, output_names, columns, dt)
     return signals, units, args.name or args.out.stem
 
 

@@ -88,8 +88,8 @@ def _parts(usage: str) -> tuple[str, str, str]:
     return flag, flag.strip("-").replace("-", "_"), metavar
 
 
-def reading(default: str = "that of the model") -> dict[str, str]:
-    """Return --recording. default: of its field every."""
+def reading(default: str = "that of the model", more: str = "") -> dict[str, str]:
+    """Return --recording. default: of its field every. more: fields that a command takes besides."""
     return {
         "--recording FIELDS": "how files are read: every=15min (samples are the means of what was recorded "
         "within each such interval of the clock, in ms, s, min, h or d; default: "
@@ -97,8 +97,24 @@ def reading(default: str = "that of the model") -> dict[str, str]:
         "header=3,decimal=comma: header (row), skip (rows), comment, delimiter, decimal, thousands, "
         "encoding; time (column), time_format, time_unit, zone; missing, on, off (words); hold, equal, "
         "long (columns of tags and of values) "
-        "(default: found by looking)"
+        f"(default: found by looking){more}"
     }
+
+
+def sampling(args: argparse.Namespace) -> tuple[dict[str, str], float | None]:
+    """Return (fields of --recording without dt, dt in s or None), of a command without a model.
+
+    Raises:
+        ValueError: dt is no number.
+    """
+    fields = dict(args.recording or {})
+    stated = fields.pop("dt", None)
+    if stated is None:
+        return fields, args.dt
+    try:
+        return fields, decimal(stated)
+    except ValueError:
+        raise ValueError(f"--recording: dt is a number of seconds, not {stated!r}") from None
 
 
 CLAIMS = "; margins=exact or bounds (faster); outside=undecided: no FAULT outside the ranges of the model"

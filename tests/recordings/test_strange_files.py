@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
+from jaxbound.certificates.checker.files import read_model
 from jaxbound.models.modelfile import model_text
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.recording import Recording
@@ -327,6 +328,8 @@ def test_a_format_that_is_stated_is_read_by_all_doors_and_kept_by_the_model_file
     frame = pd.DataFrame({"heater": ["open", "open"], "temp": ["Bad", -999.0]})
     assert np.isnan(Recording.of(model, frame).y).all()
     jb.save_model(model, tmp_path / "m.toml")
+    with pytest.raises(ValueError, match="recording"):  # the checker that stands alone reads plain files
+        read_model(tmp_path / "m.toml")
     again = jb.load_model(tmp_path / "m.toml")
     assert again == model and format_of(again).missing == ("Bad", "-999")
     with pytest.raises(ValueError, match="has no field 'decimals'"):
@@ -349,7 +352,7 @@ def test_clocks_of_a_zone_have_the_hours_of_that_zone(tmp_path):
     path = tmp_path / "run.csv"
     for begin, steps in (("2026-03-29 00:30", 6), ("2026-10-25 00:30", 6)):
         stamps = pd.date_range(begin, periods=steps, freq="1h", tz="Europe/Berlin").tz_localize(None)
-        path.write_text("time,heater,temp\n" + "".join(f"{t},1,1\n" for t in stamps))
+        path.write_text("time,heater,temp\n" + "".join(f"{t},1,{k}\n" for k, t in enumerate(stamps)))
         hourly = THREE.replace(dt=3600)
         run = jb.read(path, hourly, recording={"zone": "Europe/Berlin"})
         assert np.diff(run.time).tolist() == [3600] * 5 and len(run.starts) == 0
@@ -357,6 +360,18 @@ def test_clocks_of_a_zone_have_the_hours_of_that_zone(tmp_path):
         zoned = hourly.replace(columns=with_format({}, {"zone": "Europe/Berlin"}))
         live, _ = from_pipe(path.read_bytes(), zoned, [30, 60, 90, 120])
         assert np.diff(live.time).tolist() == [3600] * 5
+
+
+def test_named_zones_follow_each_other_when_the_clock_goes_forward(tmp_path):
+    stamps = [
+        "2026-03-29 01:58 CET",
+        "2026-03-29 01:59 CET",
+        "2026-03-29 03:00 CEST",
+        "2026-03-29 03:01 CEST",
+    ]
+    (tmp_path / "run.csv").write_text("time,heater,temp\n" + "".join(f"{t},1,1.5\n" for t in stamps))
+    run = jb.read(tmp_path / "run.csv", THREE)
+    assert np.diff(run.time).tolist() == [60, 60, 60] and str(run.stamps[0]).startswith("2026-03-29T00:58")
 
 
 def test_fit_keeps_the_order_of_day_and_month_for_a_day_that_does_not_show_it(tmp_path):
