@@ -100,6 +100,12 @@ disturbance = "assumed"
 # factor = 1.5         # on all bounds
 # when = "pump > 40"   # optional: the test watches where this holds; "otherwise": where no other condition does
 
+# How files are written, where looking at them does not say it; --recording says another one.
+# [recording]
+# missing = ["Bad", -999]     # words and numbers for missing samples
+# time_format = "%d/%m/%Y"    # the day comes before the month
+# zone = "Europe/Berlin"      # of time stamps that name none
+
 # The rule by which FAULT makes alarms, for every command that makes some; --alarm says another one.
 # [alarms]
 # rule = "3/5"         # 3 FAULT among 5 windows

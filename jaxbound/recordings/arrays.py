@@ -254,15 +254,17 @@ def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, np.ndarra
             known = frame[column].mask(frame[column].isin(how.numbers))
             cleaned[name] = cleaned[name].assign(**{column: known})
         for column in _text_columns(frame, model):
-            numbers, cells = odd_of_frame(frame[column])
+            column_cells = cleaned[name][column]
+            numbers, cells = odd_of_frame(column_cells)
             if not len(cells.rows):
                 continue
             cells = cells.without(how.missing)
             if len(cells.rows):
-                noted = noted_numbers(frame[column].tolist(), how)
+                noted = noted_numbers(column_cells.tolist(), how)
                 if noted is not None:
                     numbers, cells = noted[0], cells.without(cells.words)
-                    hints.append(f"column {column!r} is read as written, like {noted[1]}")
+                    hint = f"column {column!r} is read as written, like {noted[1]}"
+                    hints += [hint] * (hint not in hints)  # u and y may be one table
                 odd[column] = cells
             cleaned[name] = cleaned[name].assign(**{column: numbers})
     condition, excluded, row = _condition(model), None, "row {}".format

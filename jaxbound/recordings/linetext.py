@@ -6,10 +6,10 @@ than there are lines, a second, slow pass finds the row and says what stands the
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from io import BytesIO
 from itertools import islice
-from typing import IO, TYPE_CHECKING, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -112,6 +112,7 @@ class LineReader:
         self.texts, time = {*self.plan.texts}, self.plan.time
         self.notations: dict[str, Notation] = {}
         self.plain: set[str] = set()  # columns of a stream in which usual numbers came
+        self.unsigned: set[str] = set()  # those of a stream whose notation no cell has shown yet
         self.left: dict[str, list[int]] = {}
         self.sign = ""  # of most numbers, where some cells hold none
         self.is_text = time is not None and (
@@ -295,7 +296,7 @@ class LineReader:
         Raises:
             ValueError: a line that is no row.
         """
-        if len(lines) > FEW:
+        if len(lines) > FEW and not self.notations:
             cells = self._read(lambda: BytesIO(b"\n".join(lines) + b"\n"))
             if not cells.decimal:  # a few lines at a time have a sign each, however a stream is cut
                 raise ValueError("some cells hold no numbers")
@@ -372,26 +373,44 @@ class LineReader:
             if not count:
                 break
         for name, number in best.items():
-            if number is None and name != self.plan.time:
-                best[name] = self._noted_number(name, row[self.index[name]].strip())
-            elif number is not None and not np.isnan(number):
+            cell = row[self.index[name]].strip()
+            is_known = number is not None and np.isnan(number)
+            if name == self.plan.time or is_known:
+                continue
+            if number is None or name in self.notations:
+                best[name] = self._noted_number(name, cell)
+            else:
                 self.plain.add(name)
         return best
 
+    def memory(self) -> dict[str, Any]:
+        """Return the notations of a stream as JSON holds them."""
+        noted = {name: asdict(notation) for name, notation in self.notations.items()}
+        return {"notations": noted, "plain": sorted(self.plain), "unsigned": sorted(self.unsigned)}
+
+    def resume(self, memory: Mapping[str, Any]) -> None:
+        """Go on with the notations of a stream. memory: of another reader; {}: there is none."""
+        self.plain, self.unsigned = {*memory.get("plain", ())}, {*memory.get("unsigned", ())}
+        for name, fields in memory.get("notations", {}).items():
+            self.notations[name] = Notation(**fields | {k: tuple(fields[k]) for k in ("on", "off")})
+
     def _noted_number(self, name: str, cell: str) -> float | None:
-        """Return the number of a cell in the notation of its column, which the first such cell shows."""
+        """Return the number of a cell in the notation of its column, which the first such cells show."""
         import pyarrow as pa
 
-        cells, notation = pa.array([cell]), self.notations.get(name)
-        if notation is None and name not in self.plain and cell not in self.layout.how.missing:
-            notation = notation_of(cells, self.layout.decimals, self.layout.how)
+        notation = self.notations.get(name)
+        is_open = (notation is None and name not in self.plain) or name in self.unsigned
+        if is_open and cell not in self.layout.how.missing:
+            shown = notation_of(pa.array([cell]), self.layout.decimals, self.layout.how)
+            if shown is None or (notation is not None and shown.unit != notation.unit):
+                return None
+            self.notations[name] = notation = shown
+            self.unsigned.add(name)
+            if shown.shows_signs(cell):
+                self.unsigned.remove(name)
         if notation is None:
             return None
-        (number,), (fits,) = notation.numbers(cells)
-        if not fits:
-            return None
-        self.notations[name] = notation
-        return float(number)
+        return notation.number(cell)
 
     def _table(self, opened: Opened, decimal: str | None) -> "dict[str, pa.Array] | None":
         """Return the wanted columns; None where some row or cell cannot be read. decimal: of numbers; None:

@@ -60,6 +60,25 @@ class Notation:
         numbers = pc.if_else(pa.array(fits), plain, pa.scalar(None, pa.string()))
         return from_arrow(numbers.cast(pa.float64())), fits | none
 
+    def number(self, cell: str) -> float | None:
+        """Return the number in one cell, None where it holds none: `numbers`, sooner."""
+        text = re.sub(f"^{MINUS}", "-", re.sub(SPACES, " ", cell.strip()))
+        if self.on:
+            values = dict.fromkeys(self.off, 0.0) | dict.fromkeys(self.on, 1.0)
+            return values.get(text.lower())
+        if not text.endswith(self.unit):
+            return None
+        text = text.removesuffix(self.unit).rstrip()
+        if re.match(self.pattern, text) is None:
+            return None
+        if self.thousands:
+            text = text.replace(self.thousands, "")
+        return float(text.replace(self.decimal, "."))
+
+    def shows_signs(self, cell: str) -> bool:
+        """Return whether a cell shows the signs of numbers: a whole one has none."""
+        return bool(self.on) or not cell.strip().removesuffix(self.unit).strip(f"+-{MINUS} ").isdigit()
+
     @property
     def pattern(self) -> str:
         """The pattern of a number."""

@@ -94,6 +94,9 @@ class PipeText(Stream):
     def _resume_from(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
         self._understand([line.encode("latin-1") for line in memory["head"]])
+        reader = self._known_reader
+        reader.layout = replace(reader.layout, skip=0)
+        reader.resume(memory.get("reader", {}))
         self.rest = memory["tail"].encode("latin-1")
         if self.rest == b"\r":
             self.rest, self.returns = b"", 1
@@ -125,6 +128,7 @@ class PipeText(Stream):
             "unit_known": self.unit_known,
             "texts": self.texts,
             "broken": broken,
+            "reader": self.reader.memory(),
         }
 
     def ended(self) -> None:
@@ -212,6 +216,8 @@ class PipeText(Stream):
         reader = self.reader
         # where no time shows that a row is missing, a blank line may have been meant for one
         is_blank, timed = reader.layout.is_blank, reader.plan.time is not None
+        if self._format.skip:
+            lines = [one for one in lines if not self._is_aside(*one)]
         rows = self.blank + [(n, line) for n, line in lines if not (timed and is_blank(line))]
         self.blank = []
         while rows and is_blank(rows[-1][1]):
@@ -428,12 +434,7 @@ class PipeText(Stream):
                 yield from self._pieces(rows[half:])
                 return
             number, line = rows[0]
-            reason = self._known_reader.aside(line)
-            if number in self._format.skip:
-                reason = "are left out as stated"
-            if reason:
-                self.no_rows += 1
-                self.complain("line", f"line {number} {of_one(reason)}: left out")
+            if self._is_aside(number, line):
                 return
             digest = digests_of([np.zeros(1)], [[line.decode("latin-1").strip()]])
             if self.replaying and self.taken.knows(digest).all():
@@ -443,6 +444,16 @@ class PipeText(Stream):
             self.broken = True
             trouble = self._known_reader.trouble(line) or str(e).strip()
             self._lose(f"line {number} {trouble}")
+
+    def _is_aside(self, number: int, line: bytes) -> bool:
+        """Return whether a line is no row, and say so."""
+        reason = self._known_reader.aside(line)
+        if number in self._format.skip:
+            reason = "are left out as stated"
+        if reason:
+            self.no_rows += 1
+            self.complain("line", f"line {number} {of_one(reason)}: left out")
+        return bool(reason)
 
     def _samples(self, rows: list[Line]) -> Recording:
         """Return the samples of lines that can all be read, but for those that `where` leaves out."""

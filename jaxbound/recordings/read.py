@@ -41,7 +41,10 @@ def read(path: object, model: Named, progress: Progress | None = None, recording
     missing samples, and so is a blank line where there is one column. Every line is a row: a cell in
     quotation marks ends on its line. Columns that the model does not name are ignored. Time as time
     stamps, as an epoch, or in seconds, unless its name ends in another unit, like `Time [h]` or `t_ms`, or it
-    counts days; without a time column the samples are dt apart. A last line without a line end is left out.
+    counts days; without a time column the samples are dt apart. A last line without a line end is left out,
+    and so are lines above the names, units below them, a summary at the end, and, where there is a time, rows
+    without one and repeated headers: .hints count them. A column whose cells all have a unit, signs for
+    thousands, or words like ON and OFF, is read so where no other reading is left.
 
     Args:
         path: of the file or folder, or of a pipe like bash's <(zcat run.csv.gz).

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import jaxbound as jb
+from jaxbound.certificates.checker.files import read_model
 from jaxbound.models.modelfile import model_text
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.recording import Recording
@@ -303,6 +304,11 @@ def test_a_column_is_read_where_all_its_cells_have_one_notation(tmp_path, case):
     live, said = from_pipe(path.read_bytes(), THREE, [])
     known = [k for k, time in enumerate(run.time) if time in live.time]  # of others a sentence says why
     assert live.y[:, 0].tolist() == [numbers[k] for k in known] and len(known) + len(said) == 3
+    pipe = PipeText(THREE, print)
+    pipe.take(path.read_bytes())
+    again = PipeText(THREE, print, pipe.memory())  # another process goes on by the same notation
+    piece = again.take(f"{180}{delimiter}1{delimiter}{cells[0]}\n".encode())
+    assert known[0] or piece.y[:, 0].tolist() == numbers[:1]
     if delimiter == ",":
         assert Recording.of(THREE, frame).y[:, 0].tolist() == numbers
 
@@ -322,6 +328,8 @@ def test_a_format_that_is_stated_is_read_by_all_doors_and_kept_by_the_model_file
     frame = pd.DataFrame({"heater": ["open", "open"], "temp": ["Bad", -999.0]})
     assert np.isnan(Recording.of(model, frame).y).all()
     jb.save_model(model, tmp_path / "m.toml")
+    with pytest.raises(ValueError, match="recording"):  # the checker that stands alone reads plain files
+        read_model(tmp_path / "m.toml")
     again = jb.load_model(tmp_path / "m.toml")
     assert again == model and format_of(again).missing == ("Bad", "-999")
     with pytest.raises(ValueError, match="has no field 'decimals'"):
@@ -372,3 +380,20 @@ def test_fit_keeps_the_order_of_day_and_month_for_a_day_that_does_not_show_it(tm
     (tmp_path / "day.csv").write_text(path.read_text()[:17] + "02/03/2026 10:00,1,1\n02/03/2026 19:00,1,1\n")
     assert str(jb.read(tmp_path / "day.csv", ordered).stamps[0]).startswith("2026-03-02")
     assert str(jb.read(tmp_path / "day.csv", plain).stamps[0]).startswith("2026-02-03")
+
+
+def test_a_stream_below_many_lines_goes_on_without_losing_any(tmp_path):
+    lines = [
+        "Logger 7",
+        "Serial 3",
+        "time;heater;temp",
+        "s;%;degC",
+        *(f"{60 * k};1;{k},5" for k in range(60)),
+    ]
+    first, rest = "\n".join([*lines[:24], ""]), "\n".join([*lines[24:], ""])
+    pipe = PipeText(THREE, print)
+    begun = pipe.take(first.encode())
+    again = PipeText(THREE, print, pipe.memory())
+    piece = again.take(rest.encode())
+    assert begun.y[:, 0].tolist() == [k + 0.5 for k in range(20)]
+    assert piece.y[:, 0].tolist() == [k + 0.5 for k in range(20, 60)]

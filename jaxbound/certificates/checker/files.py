@@ -81,8 +81,9 @@ def read_model(path: Path, test: object = None) -> Model:
     table = tomllib.loads(path.read_text(encoding="utf-8-sig"), parse_float=str)
     matrices = table["matrices"]
     insist("C" in matrices or "D" in matrices, f"{path}: C, or D where there are no states, is missing")
-    for field, place in (("decouple", table), ("where", table), ("every", table), ("E", matrices)):
-        insist(field not in place, f"{path}: {field} {MORE}")
+    for field in ("decouple", "where", "every", "recording"):
+        insist(field not in table, f"{path}: {field} {MORE}")
+    insist("E" not in matrices, f"{path}: E {MORE}")
     inputs, outputs = table.get("inputs", []), table.get("outputs", [])
     disturbances = table.get("disturbances", [])
     at_once: Matrix = matrices.get("D", [])
