@@ -250,7 +250,10 @@ def look(
     door = _Door(data, stated, dt, clock is not None)
     names = [name for name, kind in kinds.items() if kind != TEXT]
     run, troubles = door.readable(names)
-    words = {name: _words(e) for name, e in troubles.items() if kinds[name] == NUMBER and _words(e)}
+    words: dict[str, Sequence[str]] = {}
+    for name, error in troubles.items():
+        if kinds[name] == NUMBER and _words(error):
+            words[name] = _words(error)
     if words:  # in few cells: they stand for missing samples, for all that anybody knows
         missing = [*format_of(door).missing, *chain.from_iterable(words.values())]
         door = door._replace(columns=with_format(stated, {"missing": missing}))
@@ -300,13 +303,13 @@ def _table(taken: Mapping[str, Any], clock: str | None) -> str:
     """Return the table `[recording]` of a model file that states what was taken, as far as it is not usual.
     clock: the column of the time, None: there is none.
     """
-    fields = {name: value for name, value in taken.items() if value != USUAL.get(name)}
-    if clock is not None:
-        fields["time"] = clock
-    lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in fields.items()]
-    if not lines:
+    lines = [RECORDING]
+    for name, value in (*taken.items(), ("time", clock)):
+        if value != USUAL.get(name):
+            lines.append(f"{name} = {json.dumps(value, ensure_ascii=False)}")
+    if len(lines) == 1:
         return ""
-    return "\n".join([RECORDING, *lines])
+    return "\n".join(lines)
 
 
 def _edges(samples: int) -> np.ndarray:
