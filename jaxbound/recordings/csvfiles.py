@@ -34,7 +34,7 @@ from jaxbound.recordings.longformat import pivoted
 from jaxbound.recordings.oddcells import error_hints, no_number, refuse_odd, thousands, unsaid_hints
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import RecordingFormat, format_of
-from jaxbound.recordings.seams import period_of, rows_apart
+from jaxbound.recordings.seams import may_turn_back, period_of, rows_apart
 from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
 from jaxbound.recordings.signals import SignalModel, Signals
 from jaxbound.recordings.source import NUMBER, TEXT, WORDS, Outline, Progress, Source, with_hints
@@ -173,7 +173,7 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
     written = _written_times(layout, plan, cells)
     _refuse_empty(layout, plan, cells)
     time, stamps, hint = _times_of(reader, written, cells, model)
-    rows = _counting_rows(reader, time, cells)
+    rows = _counting_rows(reader, opened, time, cells)
     if written is not None and not rows.all():
         cells, time, written = cells.kept(rows), time[rows], written.filter(to_arrow(rows))
         if stamps is not None:
@@ -219,7 +219,7 @@ def _taken(
     return RecordingFormat.of({k: x for k, x in taken.items() if x} | how.stated)
 
 
-def _counting_rows(reader: LineReader, time: np.ndarray, cells: Cells) -> np.ndarray:
+def _counting_rows(reader: LineReader, opened: Opened, time: np.ndarray, cells: Cells) -> np.ndarray:
     """Return (N,) bool: of rows of one time that which is stated to count, else all that do not repeat the
     row before; the others are noted.
     """
@@ -228,6 +228,8 @@ def _counting_rows(reader: LineReader, time: np.ndarray, cells: Cells) -> np.nda
     rows = np.ones(len(time), bool)
     if not is_same.any():
         return rows
+    if not layout.how.equal and may_turn_back(np.diff(time)):
+        return rows
     reason = "have the time of another row"
     if layout.how.equal == "last":
         rows[:-1] = ~is_same
@@ -235,12 +237,29 @@ def _counting_rows(reader: LineReader, time: np.ndarray, cells: Cells) -> np.nda
         rows[1:] = ~is_same
     if not layout.how.equal:
         rows[1:] |= ~cells.repeated
+        rows |= ~_repeated(opened, layout, rows)
         reason = "repeat the row before"
     gone = [layout.number(int(k)) for k in np.flatnonzero(~rows)]
     if gone:
         reader.left[reason] = gone
         layout.blank[:] = sorted([*layout.blank, *gone])
     return rows
+
+
+def _repeated(opened: Opened, layout: Layout, rows: np.ndarray) -> np.ndarray:
+    """Return (N,) bool: which of the rows that are False hold what the line before does, in all columns."""
+    again = np.zeros(len(rows), bool)
+    numbers = {layout.number(int(k)): int(k) for k in np.flatnonzero(~rows)}
+    if not numbers:
+        return again
+    before = b""
+    with opened() as file:
+        for number, line in enumerate(lines_of(file), 1):
+            if number in numbers:
+                again[numbers[number]] = line == before
+            if line.strip():
+                before = line
+    return again
 
 
 def _held(

@@ -15,19 +15,28 @@ import numpy as np
 from jaxbound.recordings.hints import recorded_step
 from jaxbound.recordings.read import kind_of, open_source
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.recordingformat import NAMED_SIGNS, RECORDING, RecordingFormat, Stated, with_format
+from jaxbound.recordings.recordingformat import (
+    NAMED_SIGNS,
+    RECORDING,
+    RecordingFormat,
+    Stated,
+    format_of,
+    with_format,
+)
 from jaxbound.recordings.seams import Clock, seam_hints, tick, usual_period, varied_interval, varied_steps
 from jaxbound.recordings.selection import time_column
 from jaxbound.recordings.signals import Signals
 from jaxbound.recordings.source import NUMBER, TEXT, WORDS
 from jaxbound.recordings.stillness import Runs, follow_runs, signal_hints, stretches
 from jaxbound.recordings.suspects import suspicions
+from jaxbound.text.names import listed
 from jaxbound.text.objects import readable
 from jaxbound.text.progress import Progress, reporter
 from jaxbound.text.units import without_unit
 
 MOST = 1_000_000  # samples that are looked at of a recording that is read in pieces
 BINS = 600  # of a picture
+FEW_WORDS = 20  # that stand for missing samples
 SET = 0.2  # share of steps up to which a column that is set by somebody changes
 SHOWN, NAMED = 40, 12  # columns of the table, names of the command, that are shown at most
 USUAL = {"header": 1, "delimiter": ",", "decimal": ".", "encoding": "utf-8"}
@@ -71,6 +80,8 @@ class LookedColumn:
         if self.kind != NUMBER or not self.changes:
             return ""
         for finding in self.findings:
+            if finding.mark == "count?":
+                return ""
             if finding.mark in ("angle?", "counter?"):
                 return finding.sentence.split('"')[1]
         if set(self.name) & set(",="):
@@ -237,17 +248,29 @@ def look(
     for name in (day, clock):
         kinds.pop(str(name), None)
     door = _Door(data, stated, dt, clock is not None)
-    run, troubles = door.readable([name for name, kind in kinds.items() if kind != TEXT])
+    names = [name for name, kind in kinds.items() if kind != TEXT]
+    run, troubles = door.readable(names)
+    words: dict[str, Sequence[str]] = {}
+    for name, error in troubles.items():
+        if kinds[name] == NUMBER and _words(error):
+            words[name] = _words(error)
+    if words:  # in few cells: they stand for missing samples, for all that anybody knows
+        missing = [*format_of(door).missing, *chain.from_iterable(words.values())]
+        door = door._replace(columns=with_format(stated, {"missing": missing}))
+        run, troubles = door.readable(names)
     report(0.7)
     columns: list[LookedColumn] = []
     for name, kind in kinds.items():
         if name in run.outputs:
-            columns.append(_looked(name, run))
-        elif name in troubles and kind != WORDS:
-            columns.append(LookedColumn(name, "unread", findings=(Finding("not read", troubles[name]),)))
-        else:
+            columns.append(_looked(name, run, words.get(name, ())))
+        elif name in troubles and name and kind != WORDS:
+            sentence = str(troubles[name]).removeprefix(f"{data}: ")
+            columns.append(LookedColumn(name, "unread", findings=(Finding("not read", sentence),)))
+        elif name:
             columns.append(LookedColumn(name, TEXT))
     period, hints, every = _clock_of(run, clock is not None)
+    if clock is not None and period is None:
+        hints = (*hints, *_row_a_tag(columns))
     axis = run.axis
     assert axis is not None, "a recording that is read has times"
     return Look(
@@ -260,23 +283,33 @@ def look(
         dt=period,
         columns=tuple(columns),
         hints=hints,
-        table=_table(dict(outline.taken) | RecordingFormat.of(stated.get(RECORDING)).stated, clock),
+        table=_table(dict(outline.taken) | format_of(door).stated, clock),
         command=_command(door, columns, every),
         axis=axis[_edges(run.samples)],
     )
+
+
+def _row_a_tag(columns: Sequence[LookedColumn]) -> Iterator[str]:
+    """Yield a sentence where times repeat and one column holds words, one numbers: a row may be of a tag."""
+    names: dict[str, list[str]] = {NUMBER: [], TEXT: [], "unread": []}
+    for column in columns:
+        names[column.kind].append(column.name)
+    if len(names[NUMBER]) == len(names[TEXT]) == 1:
+        pair = f"{names[TEXT][0]},{names[NUMBER][0]}"
+        yield f"if a row is of one tag, look at it again with --long {pair}"
 
 
 def _table(taken: Mapping[str, Any], clock: str | None) -> str:
     """Return the table `[recording]` of a model file that states what was taken, as far as it is not usual.
     clock: the column of the time, None: there is none.
     """
-    fields = {name: value for name, value in taken.items() if value != USUAL.get(name)}
-    if clock is not None:
-        fields["time"] = clock
-    lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in fields.items()]
-    if not lines:
+    lines = [RECORDING]
+    for name, value in (*taken.items(), ("time", clock)):
+        if value != USUAL.get(name):
+            lines.append(f"{name} = {json.dumps(value, ensure_ascii=False)}")
+    if len(lines) == 1:
         return ""
-    return "\n".join([RECORDING, *lines])
+    return "\n".join(lines)
 
 
 def _edges(samples: int) -> np.ndarray:
@@ -306,53 +339,65 @@ class _Door(NamedTuple):
             return source.read(0, min(source.samples or 0, MOST))
         return source.read()
 
-    def readable(self, names: Sequence[str]) -> tuple[Recording, dict[str, str]]:
+    def readable(self, names: Sequence[str]) -> tuple[Recording, dict[str, ValueError]]:
         """Return (the Recording of the columns that can be read, {column: why it cannot} of the others).
 
         Raises:
             ValueError: none can be read.
         """
-        troubles: dict[str, str] = {}
+        troubles: dict[str, ValueError] = {}
         if not names:
             raise ValueError(f"{self.data}: no column of it begins with a number")
         try:
             return self.read(names), troubles
         except ValueError as e:
-            self._find(names, str(e), troubles)
+            self._find(names, e, troubles)
         left = list(names)
         for name in troubles:
             left.remove(name)
         if not left:
-            raise ValueError(next(iter(troubles.values())))
+            raise next(iter(troubles.values()))
         return self.read(left), troubles
 
-    def _find(self, names: Sequence[str], sentence: str, troubles: dict[str, str]) -> None:
-        """Find the columns by halves that make reading fail, as the sentence says; keep why."""
+    def _find(self, names: Sequence[str], error: ValueError, troubles: dict[str, ValueError]) -> None:
+        """Find the columns by halves that make reading fail with an error; keep why."""
         if len(names) == 1:
-            troubles[names[0]] = sentence.removeprefix(f"{self.data}: ")
+            troubles[names[0]] = error
             return
         middle = len(names) // 2
-        failed: list[tuple[Sequence[str], str]] = []
+        failed: list[tuple[Sequence[str], ValueError]] = []
         for half in (names[:middle], names[middle:]):
             try:
                 self.read(half)
             except ValueError as e:
-                failed.append((half, str(e)))
-        if len(failed) == 2 and failed[0][1] == failed[1][1]:  # of the file, not of a column
-            raise ValueError(sentence)
+                failed.append((half, e))
+        if len(failed) == 2 and str(failed[0][1]) == str(failed[1][1]):  # of the file, not of a column
+            raise error
         for half, why in failed:
             self._find(half, why, troubles)
 
 
-def _looked(name: str, recording: Recording) -> LookedColumn:
-    """Return the look at a column of numbers."""
+def _words(error: ValueError) -> Sequence[str]:
+    """Return the words that made reading fail, where they are few."""
+    words: Sequence[str] = getattr(error.__context__, "words", ())
+    if len(words) > FEW_WORDS:
+        return ()
+    return words
+
+
+def _looked(name: str, recording: Recording, words: Sequence[str]) -> LookedColumn:
+    """Return the look at a column of numbers, in which words stand for missing samples."""
     x = np.ascontiguousarray(recording.y[:, recording.outputs.index(name)], np.float64)
     there = x[np.isfinite(x)]
     unit = without_unit(name)[1]
     if not len(there):
         return LookedColumn(name, NUMBER, unit, missing=len(x))
     runs = follow_runs(Runs(), x)
-    findings = []
+    findings: list[Finding] = []
+    if words:
+        cells = f"{name} holds {listed(words)} in the place of numbers"
+        stand = f"read as missing samples, by `missing` of {RECORDING}"
+        findings.append(Finding("words", f"{cells}: {stand}"))
     marks = [stretch.kind for stretch in stretches(runs)]
     sentences = signal_hints(name, runs, recording.label)
     before = len(sentences) - len(marks)  # numbers that may stand for a missing sample are named first
@@ -408,8 +453,8 @@ def _command(door: _Door, columns: Sequence[LookedColumn], every: str) -> str:
     words = ["jaxbound", "fit", "FILE"]
     if isinstance(door.data, str | PathLike):
         words[-1] = str(door.data)
-    for option, listed in entries.items():
-        some = list(filter(None, listed))
+    for option, wanted in entries.items():
+        some = list(filter(None, wanted))
         if len(some) > NAMED:
             some[NAMED:] = ["..."]
         if some:

@@ -22,6 +22,14 @@ MANY = 10  # words that a sentence repeats at most
 LONGEST = 60  # letters of a word in a sentence
 
 
+class OddWords(ValueError):
+    """Cells of a column hold words. Fields: words: these, each once."""
+
+    def __init__(self, sentence: str, words: Sequence[str]) -> None:
+        super().__init__(sentence)
+        self.words = words
+
+
 class OddCells(NamedTuple):
     """The cells of one column that are no numbers.
 
@@ -89,7 +97,7 @@ def refuse_odd(odd: Odd, excluded: np.ndarray | None, row: Callable[[int], str])
     if others:
         words = list(dict.fromkeys(word[:LONGEST] for *_, word in others))
         sentence += f"; {len(others)} more cells hold {listed(words[:MANY])}, too"
-    raise ValueError(sentence)
+    raise OddWords(sentence, list(dict.fromkeys([word, *(other for *_, other in others)])))
 
 
 def error_hints(odd: Odd, excluded: np.ndarray | None, row: Callable[[int], str]) -> Iterator[str]:

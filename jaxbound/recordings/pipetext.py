@@ -23,7 +23,7 @@ from jaxbound.recordings.linetext import Cells, LineReader, of_one, reader_of, r
 from jaxbound.recordings.oddcells import thousands
 from jaxbound.recordings.recording import Recording, Samples, Times
 from jaxbound.recordings.recordingformat import RecordingFormat, format_of
-from jaxbound.recordings.seams import TOLERATED_STEP, check_period, rows_apart
+from jaxbound.recordings.seams import SUMMER, TOLERATED_STEP, check_period, rows_apart
 from jaxbound.recordings.selection import Moments
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, digests_of
@@ -84,7 +84,7 @@ class PipeText(Stream):
         self.replaying = False  # the lines that come are those that a process before had judged
         self.was_broken = False  # behind the last sample of that one
         self.before: dict[str, np.ndarray] = {}  # the last row, where a signal looks back
-        self.digest = np.zeros(1, np.uint64)  # of the last row
+        self.line = b""  # the last row
         self.shown: list[float] | None = []
         if not self.regular:
             self.shown = None
@@ -464,8 +464,9 @@ class PipeText(Stream):
         if plan.where is None:  # before they tell how the time is counted
             reader.refuse(cells, None, "".format)
         digests = self._digests(cells)
-        again = digests == np.append(self.digest, digests[:-1])
-        if plan.time is not None and again.any():
+        lines = [line for _, line in rows]
+        again = np.array(lines, object) == np.array([self.line, *lines[:-1]], object)
+        if plan.time is not None and again.any() and self.dt < SUMMER:
             return self._once(rows, again)
         if cells.times is not None:
             times = self._text_times(cells.times)
@@ -488,7 +489,7 @@ class PipeText(Stream):
             if not rows:
                 return piece
         self.taken.add(digests)
-        self.digest = digests[-1:]
+        self.line = rows[-1][1]
         return self._seamed(piece, rows)
 
     def _once(self, rows: list[Line], again: np.ndarray) -> Recording:

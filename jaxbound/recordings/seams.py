@@ -47,6 +47,7 @@ SENTENCES = {
 """{kind: (of one seam, of several)}."""
 UNITS = {1e3: "ms", 1e6: "us", 1e9: "ns", 1 / 60: "min", 1 / 3600: "h", 1 / 86400: "d"}
 """{units a second: what they are called}."""
+SUMMER = 1800.0  # s by which a clock is turned at least
 FEW = 60  # rows of which one may be kept: of more, hardly anything is left
 
 
@@ -327,6 +328,14 @@ def varied_interval(time: np.ndarray) -> str:
     if not (1 + 2 * TOLERATED_STEP) * low < high < GAPS * low:
         return ""
     return next_interval(high)
+
+
+def may_turn_back(steps: np.ndarray) -> bool:
+    """Return whether steps, (N,) s, are so long that a clock without a zone shows a sample's time twice where
+    summer ends: then it is no row that was written twice.
+    """
+    steps = steps[steps > 0]
+    return len(steps) > 0 and float(np.median(steps)) >= SUMMER
 
 
 def _varied(time: np.ndarray) -> tuple[float, float]:

@@ -19,8 +19,8 @@ OVER = (256, 1000, 10_000, 32_768, 65_536, 100_000, 1_000_000, 10_000_000, 2**31
 
 
 def suspicions(name: str, column: str, x: np.ndarray) -> Iterator[tuple[str, str]]:
-    """Yield ("angle" or "counter", a sentence) on a signal that is no level, with the entry of --inputs or
-    --outputs to type in quotes.
+    """Yield ("angle", "counter" or "count", a sentence) on a signal that is no level, with the entry of
+    --inputs or --outputs to type in quotes.
 
     Args:
         name: of the signal. column: it is taken from. x: (N,) its numbers, NaN where there is none.
@@ -37,7 +37,9 @@ def suspicions(name: str, column: str, x: np.ndarray) -> Iterator[tuple[str, str
     if column.isidentifier():
         cell = column
     steps = np.diff(x)
-    if _is_angle(x, steps):
+    if (steps == steps[0]).all():
+        yield "count", f"{name} grows by {steps[0]:.6g} in each row: it counts them, and is no signal"
+    elif _is_angle(x, steps):
         at = int(np.argmax(abs(steps) > TURN / 2))
         event = f"{name} jumps from {x[at]:.6g} to {x[at + 1]:.6g}, as an angle does"
         yield "angle", f'{event}, which is no level: "{name}=angle({cell})" takes its sine and cosine'

@@ -7,6 +7,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.plots.every import plot
+from jaxbound.recordings.signals import Signals
 
 T = 120
 
@@ -82,13 +83,35 @@ def test_every_kind_of_recording_looks_the_same(tmp_path, rng, kind):
 
 def test_a_column_that_cannot_be_read_does_not_hide_the_others(tmp_path):
     lines = ["time,a,b,c", *(f"{k},{k % 5}.5,{k % 7},{k % 3}" for k in range(40))]
-    lines[9] = "8,3.5,bad,2"
+    lines[9] = "8,3.5,inf,2"
     (tmp_path / "run.csv").write_text("\n".join([*lines, ""]))
     found = jb.look(tmp_path / "run.csv")
     columns = {column.name: column for column in found.columns}
     assert [columns[name].kind for name in "abc"] == ["number", "unread", "number"]
-    assert "row 10 of column 'b' holds 'bad'" in columns["b"].findings[0].sentence
+    assert "row 10 of column 'b' is infinite" in columns["b"].findings[0].sentence
     assert "b" not in found.command.split("--outputs")[1].split(" --out ")[0]
+
+
+def test_words_in_few_cells_are_proposed_for_missing_samples(tmp_path):
+    lines = ["time,a,b", *(f"{k},{k % 5}.5,{k % 7}" for k in range(40))]
+    lines[9] = "8,3.5,Bad"
+    (tmp_path / "run.csv").write_text("\n".join([*lines, ""]))
+    found = jb.look(tmp_path / "run.csv")
+    b = found.columns[1]
+    assert (b.kind, b.missing, b.findings[0].mark) == ("number", 1, "words")
+    assert 'missing = ["Bad"]' in found.table and "--recording missing=Bad" in found.command
+    run = jb.read(tmp_path / "run.csv", Signals((), ("b",), {}, 1.0), recording={"missing": "Bad"})
+    assert np.isnan(run.y[8, 0])
+
+
+def test_a_counter_of_rows_is_no_signal_and_a_row_a_tag_is_suspected(tmp_path):
+    lines = ["time,n,a", *(f"{k},{k + 7},{k % 5}.5" for k in range(40))]
+    (tmp_path / "run.csv").write_text("\n".join([*lines, ""]))
+    found = jb.look(tmp_path / "run.csv")
+    assert found.columns[0].marks == ["count?"] and "--outputs a --out" in found.command
+    lines = ["time,tag,value", *(f"{k},{tag},{k % 5}.5" for k in range(40) for tag in "abc")]
+    (tmp_path / "run.csv").write_text("\n".join([*lines, ""]))
+    assert any("--long tag,value" in hint for hint in jb.look(tmp_path / "run.csv").hints)
 
 
 def test_what_is_wrong_with_the_file_is_said_as_it_is(tmp_path):

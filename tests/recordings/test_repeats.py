@@ -44,3 +44,15 @@ def test_a_word_is_not_lost_in_a_row_that_repeats(tmp_path):
     rows = [*ROWS[:11], ROWS[10] + "bad", *ROWS[11:]]
     with pytest.raises(ValueError, match="bad"):
         jb.read(file(tmp_path / "run.csv", rows), MODEL)
+
+
+def test_rows_that_differ_in_a_column_that_nobody_reads_are_two(tmp_path):
+    path = tmp_path / "run.csv"
+    rows = [f"{row},{unit}" for row in ROWS[:8] for unit in ("left", "left")]
+    path.write_text("\n".join(["time,a,b,unit", *rows, ""]))
+    assert jb.read(path, MODEL).samples == 8
+    rows[9] = rows[9].replace("left", "right")
+    path.write_text("\n".join(["time,a,b,unit", *rows, ""]))
+    assert jb.read(path, MODEL).samples == 9
+    pipe = PipeText(MODEL, lambda kind, sentence: None)
+    assert pipe.take(path.read_bytes()).samples == 9
