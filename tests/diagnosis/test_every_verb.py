@@ -73,7 +73,7 @@ VERBS = {
 KEY = jax.random.key(0)
 WITHOUT_A_TEST = set(
     "AlarmRule Fault LinearSystem MultiModel NamedFault Recipe Recording Status Uncertainty compile "
-    "from_control from_scipy inclusion interval interval_system linearize load_model membership pave "
+    "from_control from_scipy inclusion interval interval_system linearize load_model look membership pave "
     "residual sets solve_interval strips use_cache zonotope".split()
 )
 """Public names that build what a test is made of, or know no plant."""
@@ -94,7 +94,7 @@ SENTENCES = {
     "parameters": "has none: give the model uncertainties=",
     "fit": "no table [fit] as `fit` writes it",
 }
-WITHOUT_A_MODEL = {"demo", "example"}
+WITHOUT_A_MODEL = {"demo", "example", "look"}
 
 
 class Place:
