@@ -109,6 +109,7 @@ def test_every_file_of_a_picture_is_registered_where_its_type_is_drawn():
         "Digest": "digest",
         "Fitted": "fit",
         "Isolability": "signatures",
+        "Look": "look",
         "Observation": "observation",
         "ParameterSet": "parameters",
         "Result": "result",
