@@ -105,6 +105,7 @@ EXACT_OR_UNPROVED = {
     "interval_system",
     "isolability",
     "load_model",
+    "look",
     "parity_relations",
     "redundancy",
     "residual",

@@ -297,7 +297,7 @@ BAD_USAGE = {
     ),
     "alarm 3/2": (
         [*DETECT, "--alarm", "3/2"],
-        "--alarm needs a rule k/n with 1 <= k <= n, like 3/5, not '3/2'",
+        "--alarm needs a rule k/n with 1 <= k <= n, like 3/5, or plain, not '3/2'",
     ),
     "alarm without n": ([*DETECT, "--alarm", "3"], "--alarm needs a rule k/n"),
     "unknown method": ([*DETECT, "--method", "best"], "method must be one of windows, box, observer"),
