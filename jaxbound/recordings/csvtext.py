@@ -202,7 +202,7 @@ def layout_of(head: Head, how: RecordingFormat = UNSTATED, header: int | None = 
     if begin:
         rows = listed(map(str, numbers[:begin]), str)
         hold = "row {} holds" if begin == 1 else "rows {} hold"
-        hints.append(f"{hold.format(rows)} no samples but stand below the names of the columns: left out")
+        hints.append(f"{hold.format(rows)} no samples below the names of the columns: left out")
         skip = numbers[begin] - 1
     if all(len(cells) == len(names) + 1 and not cells[-1].strip() for cells in data[begin:]):
         hints.append("each row has a delimiter more than the names of the columns, and nothing behind it")
