@@ -215,8 +215,8 @@ def certify(
             default (s,).
 
     Returns:
-        A WindowCertificate. Outside of training, where bounds are wider, that of a FAULT is of the bounds as
-        stated: it says how many times as wide they would have to be.
+        A WindowCertificate. Outside of training, where bounds are wider, it is of the bounds as stated where
+        these prove the verdict: that of a FAULT says how many times as wide they would have to be.
 
     Raises:
         ValueError: no relation has its data. NotImplementedError: a verdict that one relation or one
@@ -224,13 +224,20 @@ def certify(
     """
     at = at or (len(y) - 1,)
     wide = extrapolated(relations)
-    if wide is not None and status != Status.FAULT:
-        departure = wide.region.departure(np.asarray(u), np.zeros(len(y), bool))
-        if departure.share[-1] > 0:
-            beyond = certificate_of(wide.relations, u, y, status, at)
-            if beyond.proves != Status.FAULT:
-                return beyond
-    return certificate_of(relations, u, y, status, at)
+    if wide is None or status == Status.FAULT:
+        return certificate_of(relations, u, y, status, at)
+    departure = wide.region.departure(np.asarray(u), np.zeros(len(y), bool))
+    try:
+        stated = certificate_of(relations, u, y, status, at)
+    except NotImplementedError:  # the wider bounds may have a behaviour that is found
+        if departure.share[-1] == 0:
+            raise
+        return certificate_of(wide.relations, u, y, status, at)
+    if departure.share[-1] > 0 and stated.proves == Status.FAULT:
+        beyond = certificate_of(wide.relations, u, y, status, at)
+        if beyond.proves != Status.FAULT:
+            return beyond
+    return stated
 
 
 @singledispatch

@@ -140,7 +140,7 @@ def _worst_row(summary: Summary, evidence: Evidence) -> tuple[str, str]:
         if is_outside:
             use = f"beyond what the samples before allow by {times(1 - margin)}"
     elif is_outside:
-        name, use = "worst window", f"bounds needed: {times(1 - margin)} the stated ones"
+        name, use = "worst window", f"bounds needed: {times(1 - margin)} its own"
     else:
         name, use = "tightest", f"{percent(1 - margin)} of the bounds are used"
     if evidence.bounded:  # another window may be the tightest

@@ -378,9 +378,9 @@ class _Door(NamedTuple):
 
 
 def _words(error: ValueError) -> Sequence[str]:
-    """Return the words that made reading fail, where they are few."""
+    """Return the words that made reading fail, where they are few. What holds digits may be a number."""
     words: Sequence[str] = getattr(error.__context__, "words", ())
-    if len(words) > FEW_WORDS:
+    if len(words) > FEW_WORDS or any(map(str.isdigit, "".join(words))):
         return ()
     return words
 

@@ -21,6 +21,8 @@ SIGNS = [(".", ""), (",", ""), (".", ","), (",", "."), (".", "'"), (",", "'"), (
 """Signs for decimals and thousands."""
 SUFFIX = r"^[-+]?[0-9.,][0-9.,' ]*?(?:[eE][-+]?[0-9]+)?(?P<unit> ?[^-+0-9.,' eE][^0-9]*| [^0-9 ][^ ]*)?$"
 LONGEST = 12  # letters of a unit
+NO_UNIT = re.compile(r"[-+]?[0-9.,]+|[eEdD][-+]?[0-9]+|[x*\u00d7\u00b7^].*")
+"""What stands behind a number and belongs to it: 1.5 E3, 1.5 x10^3, 1.5 -3."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ def notation_of(cells: Arrow, decimals: Sequence[str], how: RecordingFormat) -> 
     if not len(plain) or parts.null_count:
         return None
     units = pc.unique(pc.utf8_trim_whitespace(pc.fill_null(pc.struct_field(parts, "unit"), ""))).to_pylist()
-    if len(units) != 1 or len(units[0]) > LONGEST:
+    if len(units) != 1 or len(units[0]) > LONGEST or NO_UNIT.fullmatch(units[0]):
         return None
     found: list[Notation] = []
     for decimal, thousands in _signs(how):

@@ -414,6 +414,16 @@ class PipeText(Stream):
                 f"or --state"
             )
 
+    def _refuse_other_names(self, line: bytes) -> None:
+        """Refuse a stream whose columns change places on the way: a line with names of columns among others."""
+        names, plan = self._known_reader.layout.names, self._known_reader.plan
+        cells = [cell.strip() for cell in self._known_reader.layout.cells(line)]
+        if len(cells) == len(names) and cells != names and len({*cells} & {*plan.columns}) > 1:
+            raise ValueError(
+                f"{SOURCE} goes on with another header than before, {', '.join(cells)}: choose another --out "
+                f"or --state"
+            )
+
     def _numbered_behind(self, rows: list[Line]) -> list[Line]:
         """Return the first rows that are new, numbered behind those of the processes before."""
         behind = self.resumed - rows[0][0] + 1
@@ -436,6 +446,7 @@ class PipeText(Stream):
             number, line = rows[0]
             if self._is_aside(number, line):
                 return
+            self._refuse_other_names(line)
             digest = digests_of([np.zeros(1)], [[line.decode("latin-1").strip()]])
             if self.replaying and self.taken.knows(digest).all():
                 self.skipped += 1

@@ -190,12 +190,19 @@ class LiveCheckpoint:
         self.journal, self.source, self.judge, self.sinks = journal, source, judge, sinks
 
     def resume(self) -> None:
-        """Let judge and sinks go on from what was saved last."""
-        self.judge.resume(self.journal.before["judge"])
-        for name, sink in self.sinks.items():
-            memory = self.journal.before["sinks"].get(name)
-            if memory is not None:
-                sink.resume(memory)
+        """Let judge and sinks go on from what was saved last.
+
+        Raises:
+            Refused: a development version of the same number saved something else.
+        """
+        try:
+            self.judge.resume(self.journal.before["judge"])
+            for name, sink in self.sinks.items():
+                memory = self.journal.before["sinks"].get(name)
+                if memory is not None:
+                    sink.resume(memory)
+        except (LookupError, TypeError) as e:
+            raise Refused(FORMER_STATE.format(self.journal.path, "another")) from e
 
     def save(self) -> None:
         """Save all memories, if the source has a position that one can go on from."""

@@ -543,6 +543,16 @@ class TestRestart:
         (place / "out/monitor.jsonl").unlink()
         assert pipe(text, out=place / "out")[0] == 0
 
+    def test_a_state_that_lacks_what_this_version_keeps_is_refused(self, samples, place, pipe):
+        text = lines(samples)[:50]
+        pipe(text, state=place / "old", alarm={"latch": True})
+        with contextlib.closing(sqlite3.connect(place / "old")) as database:
+            (memory,) = database.execute("SELECT memory FROM checkpoint").fetchone()
+            database.execute("UPDATE checkpoint SET memory = ?", (memory.replace('"latest"', '"repairs"'),))
+            database.commit()
+        with pytest.raises(Refused, match="old is the state of an earlier jaxbound, from which this one"):
+            pipe(text, state=place / "old", alarm={"latch": True})
+
     def test_a_database_of_another_program_is_refused(self, samples, place, pipe):
         with contextlib.closing(sqlite3.connect(place / "theirs")) as database:
             database.execute("CREATE TABLE checkpoint (a)")

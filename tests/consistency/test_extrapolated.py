@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxbound as jb
+from jaxbound.certificates import verify
 from jaxbound.consistency.extrapolated import extrapolated
 
 G = Fraction(3, 2)
@@ -54,6 +55,11 @@ def nothing(wide):
     return {}
 
 
+def uncertain(wide):
+    """Return an uncertain pole, whose range stays as it is outside, beside bounds that grow there."""
+    return {"uncertainties": [jb.Uncertainty(name="a", A=[[0.05]], varying=False)]} | disturbed(wide)
+
+
 KINDS = {
     "windows": (nothing, lambda model: jb.parity_relations(model, 3)),
     "lags": (nothing, lambda model: jb.parity_relations(model, lags=(0, 2, 5))),
@@ -65,6 +71,7 @@ KINDS = {
         lambda model: jb.parity_relations(model, 2),
     ),
     "bank": (nothing, jb.redundancy),
+    "uncertain": (uncertain, lambda model: jb.parity_relations(model, 2)),
 }
 
 
@@ -124,3 +131,16 @@ def test_an_alarm_says_how_wide_bounds_outside_are(rng):
     alarms = jb.detect(jb.parity_relations(plant(G), 3), u, y).alarms()
     said = {alarm.outside_by for alarm in alarms if alarm.outside}
     assert "u1 at -3, training from -1, where bounds are 1.5 times as wide" in said
+
+
+def test_a_window_outside_that_the_stated_bounds_explain_has_a_certificate_that_is_confirmed(rng):
+    u, y = recording(rng)
+    res, stated = (jb.detect(jb.parity_relations(plant(factor), 3), u, y) for factor in (G, None))
+    out, consistent = res.outside > 0, res.status == jb.Status.CONSISTENT
+    (k, *_), (eased, *_) = (
+        np.flatnonzero(out & consistent & (stated.status == status)).tolist()
+        for status in (jb.Status.CONSISTENT, jb.Status.FAULT)
+    )
+    verify(res.explain(k).to_dict(), plant(G), u, y)
+    with pytest.raises(ValueError, match=r"only the wider bounds there explain, extrapolation 1\.5, nothing"):
+        verify(res.explain(eased).to_dict(), plant(G), u, y)

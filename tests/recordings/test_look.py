@@ -104,6 +104,15 @@ def test_words_in_few_cells_are_proposed_for_missing_samples(tmp_path):
     assert np.isnan(run.y[8, 0])
 
 
+def test_numbers_in_a_notation_of_their_own_are_not_proposed_for_missing_samples(tmp_path):
+    cells = [f"{k}.5 %" if k % 4 == 0 else f"{k}.5" for k in range(40)]
+    (tmp_path / "run.csv").write_text(
+        "time,u,y\n" + "".join(f"{60 * k},1,{y}\n" for k, y in enumerate(cells))
+    )
+    found = jb.look(tmp_path / "run.csv")
+    assert "missing" not in found.table and found.columns[1].marks == ["not read"]
+
+
 def test_a_counter_of_rows_is_no_signal_and_a_row_a_tag_is_suspected(tmp_path):
     lines = ["time,n,a", *(f"{k},{k + 7},{k % 5}.5" for k in range(40))]
     (tmp_path / "run.csv").write_text("\n".join([*lines, ""]))

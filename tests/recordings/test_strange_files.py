@@ -279,6 +279,9 @@ CELLS = {  # (delimiter, cells of temp, their numbers; None: refused)
     "Swiss": (",", ["35'010.5", "998", "1'002"], [35010.5, 998, 1002]),
     "French": (";", ["35\u202f010,5", "998", "1\u00a0002"], [35010.5, 998, 1002]),
     "a word": (",", ["1", "Bad", "2"], None),
+    "a power behind a space": (",", ["1.5 E3", "2 E3", "3 E3"], None),
+    "a power in words": (",", ["1.5 x10^3", "2 x10^3", "3 x10^3"], None),
+    "cubic metres": (",", ["1.5 m3/h", "2 m3/h", "3 m3/h"], [1.5, 2, 3]),
 }
 THREE = PLANT.replace(inputs=["heater"], dt=60)
 
@@ -409,3 +412,13 @@ def test_a_stream_below_many_lines_goes_on_without_losing_any(tmp_path):
     piece = again.take(rest.encode())
     assert begun.y[:, 0].tolist() == [k + 0.5 for k in range(20)]
     assert piece.y[:, 0].tolist() == [k + 0.5 for k in range(20, 60)]
+
+
+def test_a_stream_whose_columns_change_places_is_refused():
+    rows = [f"{60 * k},1,{k}.5" for k in range(20)]
+    with pytest.raises(
+        ValueError, match="goes on with another header than before, time, temp, heater: choose"
+    ):
+        from_pipe(
+            "\n".join(["time,heater,temp", *rows[:9], "time,temp,heater", *rows[9:], ""]).encode(), THREE, []
+        )
