@@ -156,8 +156,8 @@ def widen(
 
     Raises:
         OSError: no such file. ValueError: bounds would have to grow by more, with the time of the sample that
-            asks for most; no factor holds the recordings; one has no window; nothing says for which observer bounds are;
-            otherwise as `monitor` and `read`.
+            asks for most; no factor holds the recordings; one has no window; nothing says for which
+            observer bounds are; otherwise as `monitor` and `read`.
 
     Example:
         >>> import jaxbound as jb
