@@ -156,10 +156,10 @@ def write_columns(path: str | PathLike[str], columns: Mapping[str, "pa.Array"], 
         write_rows(f, columns)
 
 
-def header_line(names: Iterable[str]) -> bytes:
+def header_line(names: Iterable[str], delimiter: str = ",") -> bytes:
     """Return the first line of a CSV file."""
     line = io.StringIO()
-    csv.writer(line, lineterminator="\n").writerow(map(cell, names))
+    csv.writer(line, delimiter=delimiter, lineterminator="\n").writerow(map(cell, names))
     return line.getvalue().encode("utf-8", "backslashreplace")
 
 

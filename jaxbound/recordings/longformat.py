@@ -134,7 +134,7 @@ def _as_lines(names: Iterable[str], columns: Iterable[Arrow], delimiter: str) ->
     import pyarrow.csv as pc
 
     sink = BytesIO()
-    sink.write(header_line(names).replace(b",", delimiter.encode()))
+    sink.write(header_line(names, delimiter))
     options = pc.WriteOptions(include_header=False, delimiter=delimiter, quoting_style="needed")
     pc.write_csv(pa.Table.from_arrays(list(columns), list(names)), sink, options)
     return sink.getvalue()

@@ -415,7 +415,7 @@ class PipeText(Stream):
             )
 
     def _refuse_other_names(self, line: bytes) -> None:
-        """Refuse a stream whose columns change places on the way: a line with names of columns among others."""
+        """Refuse a stream whose columns change places on the way: a line with other names of columns."""
         names, plan = self._known_reader.layout.names, self._known_reader.plan
         cells = [cell.strip() for cell in self._known_reader.layout.cells(line)]
         if len(cells) == len(names) and cells != names and len({*cells} & {*plan.columns}) > 1:

@@ -106,3 +106,11 @@ def test_look_and_fit_take_it_on_the_command_line(tmp_path, rng, capsys):
     assert 'long = ["tag", "value"]' in found.table
     assert main.main(["look", str(path), "--long", "tag,value"]) == 0
     assert "2 columns of numbers" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("tag", ["a,b", "a;b"])
+def test_a_name_of_a_tag_may_hold_a_comma_or_the_delimiter(tmp_path, tag):
+    rows = [f'{2 * k};"{name}";{k + i}' for k in range(T) for i, name in enumerate((tag, "y"))]
+    signals = Signals((tag,), ("y",), with_format({}, {"long": "tag,value"}), 2.0)
+    run = jb.read(put(tmp_path / "run.csv", ["time;tag;value", *rows]), signals)
+    assert run.u[:, 0].tolist() == list(range(T)) and run.y[:, 0].tolist() == list(range(1, T + 1))

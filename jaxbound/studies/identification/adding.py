@@ -25,6 +25,7 @@ from jaxbound.models.statedtests import StatedTest, StatedTests
 from jaxbound.models.system import FOR_OBSERVER, LinearSystem
 from jaxbound.models.testmodels import model_of
 from jaxbound.models.watched import NO, UNKNOWN
+from jaxbound.recordings.hints import refuse_short
 from jaxbound.recordings.read import recorded
 from jaxbound.recordings.recording import Recording
 from jaxbound.relations.parity import ParityRelation
@@ -155,8 +156,8 @@ def widen(
 
     Raises:
         OSError: no such file. ValueError: bounds would have to grow by more, with the time of the sample that
-            asks for most; no factor holds the recordings; nothing says for which observer bounds are;
-            otherwise as `monitor` and `read`.
+            asks for most; no factor holds the recordings; one has no window; nothing says for which
+            observer bounds are; otherwise as `monitor` and `read`.
 
     Example:
         >>> import jaxbound as jb
@@ -177,6 +178,8 @@ def widen(
     for one in recordings if isinstance(recordings, list) else [recordings]:
         parts: Any = one if isinstance(one, tuple) and is_pair(one) else (one,)
         days.append(recorded(bank.plant, *parts).finite())
+    for number, day in enumerate(days):  # what no test judges says nothing of bounds
+        refuse_short(place(days, number), day.samples, min(watch.relations.horizon for watch in bank.watches))
     grown = _grown(bank, days, float(most))
     report(0.5)
     records = [(day.u[:, : model.m], day.y, day.starts) for day in days]

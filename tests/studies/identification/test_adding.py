@@ -47,6 +47,11 @@ def test_a_day_that_is_held_changes_nothing(rng):
     assert list(widened.rows()) == [("test: windows", "its bounds hold, and stay")]
 
 
+def test_a_day_without_a_window_is_refused(rng):
+    with pytest.raises(ValueError, match="recording 1: the recording has 4 samples, one window needs 5"):
+        widen(plant(), table(*course(rng, 0))[:4])
+
+
 def test_bounds_grow_just_enough_and_sizes_with_them(rng):
     day = table(*course(rng, 0.25, size=0.04, at=(20,)))
     model = plant(provenance={"noise": "fitted"})
