@@ -125,6 +125,8 @@ def _test(one: Assessment) -> str:
     relations = one.relations
     if relations is None:
         return f"by {one.marks.name}"
+    if getattr(relations, "parts", {}):
+        return f"by a bank: {', '.join(relations.parts)}"
     if relations.remembers:
         return "sample by sample, each against those before it"
     return f"in windows of {relations.horizon + 1} samples"

@@ -27,6 +27,10 @@ MOST, NEARLY_ALL = 0.5, 0.95
 """Share of FAULT windows that makes us look, share of CONSISTENT ones that makes us speak."""
 FEW, MANY = 16, 256
 """Windows by which a conversion is left out, and those that are tested again."""
+WORK = 2**13
+"""Windows of a small test that are judged at most for each of three looks: one that searches among many
+disturbances costs hundreds of them.
+"""
 GROUPS = 40
 """Signals and groups of them that are tried at most."""
 
@@ -103,16 +107,18 @@ def unit_hints(result: Judgement) -> list[str]:
     signals, tries = np.concatenate([result.u, result.y], 1), _tries(relations.model)
     many = _spread(tested, MANY)
     # of a wrong one all of the first are outside: one more than nearly all leaves room for
-    room = (1 - NEARLY_ALL) * len(many)
+    wrong = int((1 - NEARLY_ALL) * len(many)) + 1
     share, left = np.zeros(len(tries)), np.arange(len(tries))
-    for count in (int(room) + 1, FEW, MANY):
+    weight = relations.test("joint", signals.dtype).weight
+    for count, least in ((wrong, 1), (FEW, FEW), (MANY, FEW)):
         able = [tries[i] for i in left]
-        if not able:
+        count = min(count, len(many), int(WORK // (weight * max(len(able), 1))))
+        if not able or count < min(least, len(many)):  # a word on fewer windows would be a guess
             return []
         windows = _converted_windows(signals, _spread(many, count), relations.horizon, able)
         consistent = _consistent(relations, windows)
         share[left] = consistent.mean(1)
-        left = left[np.count_nonzero(~consistent, axis=1) <= room]
+        left = left[np.count_nonzero(~consistent, axis=1) < min(wrong, count)]
     few = _converted_windows(signals, _spread(many, FEW), relations.horizon, tries)
     best = _best(relations.model, tries, few, share)
     if best is None:

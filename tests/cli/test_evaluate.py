@@ -55,6 +55,15 @@ def test_without_labels_every_sample_is_faulty(plant, capsys):
     assert at_one(found["models"]["plant.toml"]["scores"], "2/2")["delays"] == [20]
 
 
+def test_a_bank_is_said_to_be_one(plant, capsys):
+    model = jb.load_model("plant.toml")
+    jb.save_model(
+        model.replace(tests=[{"name": n, "horizon": h} for n, h in (("a", 1), ("b", 3))]), "bank.toml"
+    )
+    assert main.main(["evaluate", "bank.toml", "--faulty", "leak.csv"]) == 0
+    assert "faulty, tested by a bank: a, b" in " ".join(capsys.readouterr().out.split())
+
+
 def test_a_file_of_labels_names_the_signal(plant, capsys):
     (plant / "labels.csv").write_text("sample,label\n0,0\n20,level\n")
     found = evaluated(capsys, "--faulty", "leak.csv", "--labels", "labels.csv")

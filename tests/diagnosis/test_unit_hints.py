@@ -1,5 +1,7 @@
 """The hint on units costs less than what it is a hint on, and says the same."""
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,25 @@ def test_a_wrong_conversion_costs_a_few_windows(relations, rng, monkeypatch):
     assert units.unit_hints(result) == []
     assert tested[0] == tries * 8  # one more than 5 % of 140
     assert sum(tested[1:]) <= 2 * units.MANY  # dead outputs alone explain the rest
+
+
+@pytest.mark.parametrize("weight, said", [(1, 1), (30, 1), (1000, 0)])
+def test_windows_that_are_searched_long_are_fewer(relations, rng, monkeypatch, weight, said):
+    """The work is bounded: where a window costs as much as many small ones, fewer are judged, or none."""
+    result = jb.detect(relations, *day(rng, relations, 273.15), starts=[NIGHT])
+    heavy, tries = copy.copy(relations.test("joint", float)), len(units._tries(relations.model))
+    heavy.weight = weight
+    monkeypatch.setattr(type(relations), "test", lambda *given: heavy)
+    work = []
+
+    def counting(relations, windows):
+        work.append(windows.shape[0] * windows.shape[1] * weight)
+        return consistent(relations, windows)
+
+    consistent = units._consistent
+    monkeypatch.setattr(units, "_consistent", counting)
+    assert len(units.unit_hints(result)) == said
+    assert max(work, default=0) <= 2**13 and (weight * tries > 2**13 or work)
 
 
 @pytest.fixture(scope="module")

@@ -112,7 +112,7 @@ estimation/test_observer_times.py, estimation/test_unknown_input_estimates.py,
 studies/montecarlo/test_study_times.py."""
 WITHOUT_A_MODEL = """
     AlarmRule Fault NamedFault Recipe Result Status Uncertainty compile evaluate fit from_control
-    from_scipy inclusion interval interval_system linearize membership parameters pave residual sets
+    from_scipy inclusion interval interval_system linearize look membership parameters pave residual sets
     signatures solve_interval strips use_cache zonotope
 """.split()
 

@@ -140,6 +140,8 @@ class Interval(Arrays):
         return abs(self)
 
     def __pow__(self, n: Operand) -> Interval:
+        if n is None or isinstance(n, bool | str):
+            raise TypeError(f"exponent must be a number or an interval, not {n!r}")
         if isinstance(n, int | float | np.integer | np.floating) and float(n).is_integer():
             return pown(self, int(n))
         return pow(self, n)

@@ -239,7 +239,7 @@ def test_as_fitted(
             of the test beside its name and its model.
     """
     if base.extrapolation and not fitted.extrapolation:  # a field that a test cannot take away
-        origins = {**fitted.provenance, "extrapolation": "assumed: no window outside was left out"}
+        origins = {**fitted.provenance, "extrapolation": "assumed: none left out asks for more"}
         fitted = fitted.replace(extrapolation=1, provenance=origins)
     mine, theirs = (model_document(x.replace(tests=None)) for x in (base, fitted))
     (test,) = stated_tests([{"name": name, **(about or {}), "model": changes_between(mine, theirs)}])

@@ -16,6 +16,7 @@ from jaxbound.models.region import Region
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trial import Trial
+from jaxbound.studies.tuning.widening import stated
 
 
 class Extrapolation(NamedTuple):
@@ -33,7 +34,9 @@ class Extrapolation(NamedTuple):
 
 
 def extrapolation(trial: Trial, training: Training) -> Extrapolation | None:
-    """Return the factor that windows outside the ranges of other recordings ask for; None: none are known."""
+    """Return the factor that windows outside the ranges of other recordings ask for; None: none are known, or
+    they ask for no wider bounds.
+    """
     logs, windows, records = [], 0, training.records
     if len(trial.left) != len(records):
         return None
@@ -51,6 +54,7 @@ def extrapolation(trial: Trial, training: Training) -> Extrapolation | None:
             inside, outside = one.need[known & ~out].max(), one.need[out].max()
             logs.append(math.log(max(outside, 1.0) / max(inside, 1.0)))
             windows += int(out.sum())
-    if not logs:
+    factor = math.exp(sum(logs) / max(len(logs), 1))
+    if stated(max(factor, 1.0)) == 1:
         return None
-    return Extrapolation(math.exp(max(sum(logs) / len(logs), 0.0)), windows, len(logs))
+    return Extrapolation(factor, windows, len(logs))

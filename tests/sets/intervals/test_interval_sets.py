@@ -101,9 +101,9 @@ def test_hull_with_empty_is_the_other():
     assert (x.lo, x.hi) == (1, 2) and sets.hull(interval(*EMPTY), interval(*EMPTY)).is_empty
 
 
-@pytest.mark.parametrize("n", [1.5, "2", None, True])
-def test_pown_refuses_an_exponent_that_is_no_integer(n):
-    with pytest.raises(TypeError, match="exponent must be an integer"):
+@pytest.mark.parametrize("n", ["2", None, True])
+def test_a_power_refuses_an_exponent_that_is_no_number(n):
+    with pytest.raises(TypeError, match="exponent must be a number or an interval"):
         interval(1.0, 2.0) ** n
 
 
