@@ -113,6 +113,7 @@ class LineReader:
         self.notations: dict[str, Notation] = {}
         self.plain: set[str] = set()  # columns of a stream in which usual numbers came
         self.unsigned: set[str] = set()  # those of a stream whose notation no cell has shown yet
+        self.signs: dict[str, str] = {}  # of columns of a stream, the decimal sign that came first
         self.left: dict[str, list[int]] = {}
         self.sign = ""  # of most numbers, where some cells hold none
         self.is_text = time is not None and (
@@ -303,6 +304,9 @@ class LineReader:
             for name, x in cells.columns.items():
                 if x.dtype != object and not np.isnan(x).all():
                     self.plain.add(name)
+                    has_sign = name != self.plan.time and bool((x[np.isfinite(x)] % 1 != 0).any())
+                    if has_sign and self.signs.setdefault(name, cells.decimal) != cells.decimal:
+                        raise ValueError("other decimal signs came before")
             return cells
         rows: list[list[str]] = []
         for line in lines:
@@ -364,12 +368,12 @@ class LineReader:
     def _numbers_in(self, row: Sequence[str]) -> dict[str, float | None]:
         """Return {column: its number in a row, NaN of a blank cell, None where it holds none}."""
         best: dict[str, float | None] = {}
-        fewest = math.inf
+        fewest, best_sign = math.inf, ""
         for sign in self.layout.decimals:
             numbers = {n: _number(row[i], sign) for n, i in self.index.items() if n not in self.texts}
             count = list(numbers.values()).count(None)
             if count < fewest:
-                best, fewest = numbers, count
+                best, fewest, best_sign = numbers, count, sign
             if not count:
                 break
         for name, number in best.items():
@@ -377,7 +381,10 @@ class LineReader:
             is_known = number is not None and np.isnan(number)
             if name == self.plan.time or is_known:
                 continue
-            if number is None or name in self.notations:
+            shows = number is not None and name not in self.notations and best_sign in cell
+            if shows and self.signs.setdefault(name, best_sign) != best_sign:
+                best[name] = None  # 1.002 and 998,5: one of them may have a sign for thousands
+            elif number is None or name in self.notations:
                 best[name] = self._noted_number(name, cell)
             else:
                 self.plain.add(name)
@@ -386,11 +393,17 @@ class LineReader:
     def memory(self) -> dict[str, Any]:
         """Return the notations of a stream as JSON holds them."""
         noted = {name: asdict(notation) for name, notation in self.notations.items()}
-        return {"notations": noted, "plain": sorted(self.plain), "unsigned": sorted(self.unsigned)}
+        return {
+            "notations": noted,
+            "plain": sorted(self.plain),
+            "unsigned": sorted(self.unsigned),
+            "signs": self.signs,
+        }
 
     def resume(self, memory: Mapping[str, Any]) -> None:
         """Go on with the notations of a stream. memory: of another reader; {}: there is none."""
         self.plain, self.unsigned = {*memory.get("plain", ())}, {*memory.get("unsigned", ())}
+        self.signs = dict(memory.get("signs", {}))
         for name, fields in memory.get("notations", {}).items():
             self.notations[name] = Notation(**fields | {k: tuple(fields[k]) for k in ("on", "off")})
 

@@ -422,3 +422,11 @@ def test_a_stream_whose_columns_change_places_is_refused():
         from_pipe(
             "\n".join(["time,heater,temp", *rows[:9], "time,temp,heater", *rows[9:], ""]).encode(), THREE, []
         )
+
+
+@pytest.mark.parametrize("cuts", [[], range(20, 200, 7)])
+def test_a_stream_takes_one_decimal_sign_in_a_column(cuts):
+    cells = ["1.002", "998,5", *["7,5"] * 20]
+    data = small(cells, ";").encode()
+    run, said = from_pipe(data, THREE, cuts)
+    assert run.y[:, 0].tolist() == [1.002] and len(said) >= 21  # and no 998.5 behind what may be 1002
