@@ -162,9 +162,9 @@ def widen(
     Example:
         >>> import jaxbound as jb
         >>> m = jb.LinearSystem([[0.5]], None, [[1]], noise=0.1, horizon=1)
-        >>> wider = widen(m, (None, [[1.0], [0.8], [0.3]]))  # |y[k-1] - 2 y[k]| <= 3 noise
+        >>> wider = widen(m, (None, [[1.0], [0.85], [0.3]]))  # |y[k-1] - 2 y[k]| <= 3 noise
         >>> wider.factor, float(wider.model.noise[0])
-        (2.001, 0.2001)
+        (2.334, 0.2334)
     """
     if not (is_real(most) and most >= 1):
         raise ValueError(f"most is a factor >= 1 that bounds may grow by, not {most!r}")
