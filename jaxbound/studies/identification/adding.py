@@ -266,7 +266,7 @@ def _grown_test(bank: MonitorBank, number: int, days: Sequence[Recording], most:
             need, sample = _need(relations, own)
             if not need:
                 break
-            factor = float(short_factor(Fraction(widest.factor) * Fraction(need)))
+            factor = float(short_factor(Fraction(str(widest.factor)) * Fraction(need)))
             if relations.remembers:
                 factor = max(factor, _observed_factor(bank.plant, test, own))
             if factor > most:
@@ -289,7 +289,7 @@ def _times(test: StatedTest, factor: float) -> StatedTest:
     """Return a test whose bounds are so many times as wide."""
     if factor == 1:
         return test
-    return replace(test, factor=short_factor(test.factor * Fraction(factor)))
+    return replace(test, factor=short_factor(test.factor * Fraction(str(factor))))
 
 
 def _need(relations: Relations, own: Recording) -> tuple[float, int]:
