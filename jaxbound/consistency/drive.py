@@ -162,7 +162,9 @@ def windows(
     words = judged.words
     if words is not None and wide.words is not None:
         words = both(words, wide.words)
-    return Judged(both(judged.status, wide.status), both(judged.margin, wide.margin), words)
+    columns = {name: both(numbers, wide.columns[name]) for name, numbers in judged.columns.items()}
+    status, margin = both(judged.status, wide.status), both(judged.margin, wide.margin)
+    return judged._replace(status=status, margin=margin, words=words, columns=columns)
 
 
 def stretches_around(at: np.ndarray, horizon: int) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.certificates import verify
 from jaxbound.consistency.extrapolated import extrapolated
+from jaxbound.consistency.strips import StripsTest
 
 G = Fraction(3, 2)
 NOISE, ROUNDED = Fraction(1, 10), Fraction(1, 20)
@@ -89,6 +90,21 @@ def test_windows_outside_are_judged_as_by_a_model_that_states_the_wider_bounds(k
     assert (stated.status[out] > wide.status[out]).any() and (res.status[out] == jb.Status.FAULT).any()
     if kind == "bank":
         np.testing.assert_array_equal(res.violated, np.where(out[..., None], wide.violated, stated.violated))
+
+
+def test_numbers_beside_the_verdicts_are_those_of_the_test_that_judged(rng, monkeypatch):
+    judge = StripsTest.judge
+
+    def with_noise(self, run, blocks):
+        noise = float(self.relations.bounds["noise"][0])
+        return [(*out, np.full(np.shape(out[0]), noise)) for out in judge(self, run, blocks)]
+
+    monkeypatch.setattr(StripsTest, "columns", {"noise": (np.dtype(np.float64), np.nan)})
+    monkeypatch.setattr(StripsTest, "judge", with_noise)
+    res = jb.detect(jb.parity_relations(plant(G), 3), *recording(rng))
+    seen = res.status > 0
+    np.testing.assert_array_equal(res.columns["noise"][seen] > 0.12, res.outside[seen] > 0)
+    assert len(np.unique(res.columns["noise"][seen])) == 2
 
 
 def test_a_stream_says_what_detect_says(rng):
