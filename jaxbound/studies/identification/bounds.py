@@ -50,7 +50,9 @@ def verified(
     spec = trial.candidate.spec | {"ranges": training.ranges}
     if np.isfinite(trial.asked).any():
         spec["left_out"] = stated(factor)
-    beyond = extrapolation(trial, training)
+    beyond, windows = None, not {"horizon", "lags"}.isdisjoint(spec)
+    if windows:
+        beyond = extrapolation(trial, training)
     if beyond is not None:
         spec["extrapolation"] = stated(beyond.factor)
     several = "s" * (len(records) > 1)
@@ -58,7 +60,7 @@ def verified(
     meant = ""
     if trial.walks is not None:
         meant = f" {TO_THE_END}"
-    elif "horizon" not in spec and "lags" not in spec:
+    elif not windows:
         meant = f" {FOR_OBSERVER}"
     wide = factors_text(factor, safety)
     origin = {"model": source, "noise": f"{source}{meant}, {wide}"}

@@ -7,8 +7,9 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.studies.identification.bank import test_as_fitted as as_fitted
-from jaxbound.studies.identification.extrapolation import extrapolation
+from jaxbound.studies.identification.extrapolation import FEW_DAYS_OUTSIDE, extrapolation
 from jaxbound.studies.identification.training import Training
+from jaxbound.studies.identification.trial import few_days
 
 RECIPE = {"order": 1, "horizon": 4, "method": "least squares"}
 
@@ -27,9 +28,21 @@ def days(rng, square, levels=(0.0, 0.5, 1.0)):
 
 def test_a_plant_that_is_another_one_there_asks_for_wider_bounds_and_a_linear_one_does_not(rng):
     bent, straight = (jb.fit(days(rng, square), **RECIPE) for square in (1.0, 0.0))
-    assert bent.extrapolation > 1.2 > 1.1 > (straight.extrapolation or 1)
+    few = few_days(3, FEW_DAYS_OUTSIDE)
+    assert bent.extrapolation > 1.2 * few > 1.1 * few > straight.extrapolation >= few
     assert bent.provenance["extrapolation"].startswith("fitted: needs of ")
     assert "outside the ranges of the others" in bent.provenance["extrapolation"]
+
+
+def test_recordings_that_reach_nowhere_alone_tell_nothing_and_few_of_them_ask_for_more(rng):
+    two = days(rng, 0.0, (0.0, 0.0))
+    for u, _ in two:
+        u[[50, 90]] = [[-1], [1]]
+    fitted = jb.fit(two, **RECIPE)
+    assert 1.5 <= fitted.extrapolation < 1.51
+    assert fitted.provenance["extrapolation"].startswith("assumed: times 1.5 for so few recordings")
+    alone = jb.fit([two[0]], **RECIPE)
+    assert alone.extrapolation is None, "what its blocks say is not of another day"
 
 
 def test_the_factor_is_the_need_outside_over_that_inside(rng):
@@ -43,10 +56,12 @@ def test_the_factor_is_the_need_outside_over_that_inside(rng):
     records = [(u, u, np.zeros(0, int)), (-u, u, np.zeros(0, int))]
     found = extrapolation(trial, Training(None, ("u1",), ("y1",), 1.0, records, {}))
     # 6 over 1.5, and 1 over 2
-    assert found.factor == pytest.approx(2**0.5) and (found.windows, found.recordings) == (2, 2)
+    assert found.factor == pytest.approx(FEW_DAYS_OUTSIDE * 2**0.5)
+    assert (found.windows, found.recordings) == (2, 2)
     for one in left:
         one.need = np.minimum(one.need, 1.0)  # nothing outside asks for more
-    assert extrapolation(trial, Training(None, ("u1",), ("y1",), 1.0, records, {})) is None
+    found = extrapolation(trial, Training(None, ("u1",), ("y1",), 1.0, records, {}))
+    assert found.factor == FEW_DAYS_OUTSIDE
 
 
 def test_a_test_without_a_factor_does_not_take_that_of_the_model(rng):
