@@ -6,6 +6,8 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.recordings.expressions import expression, with_angles
+from jaxbound.recordings.means import recorded_model
+from jaxbound.recordings.meanstream import MeansStream
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.signals import Signals
@@ -32,8 +34,8 @@ def frame(rng):
 
 def expected(table):
     """Return (u, y) by hand."""
-    flow, energy = np.full((2, T), np.nan)
-    for k in range(1, T):
+    flow, energy = np.full((2, len(table)), np.nan)
+    for k in range(1, len(table)):
         step = table["time"][k] - table["time"][k - 1]
         if step != 2:
             continue
@@ -81,6 +83,48 @@ def test_a_counter_that_begins_anew_has_not_run_over():
     step, x = np.ones(3), np.array([39_990.0, 40_000.0, 0.0])
     values = expression("rate(n, 65536)").values({"n": x, "= seconds since the sample before": step})
     np.testing.assert_array_equal(values, [np.nan, 10.0, np.nan])
+
+
+MEANS = Signals(MODEL.inputs, MODEL.outputs, MODEL.columns | {"every": "30s"}, 30.0)
+
+
+def means_of_all(table, behind_hole):
+    """Return means over 15 samples by hand, missing where a sample is, and of the interval behind a hole."""
+    u, y = expected(table)
+    groups = pd.DataFrame(np.concatenate([u, y], 1)).groupby(table["time"] // 30)
+    means = groups.mean().where(groups.count() == 15)
+    means.loc[behind_hole] = np.nan
+    return means.to_numpy()
+
+
+@pytest.mark.parametrize("size", [1, 997, 100_000])
+def test_means_of_rates_and_angles_are_the_same_by_file_parquet_table_and_pipe(tmp_path, rng, size):
+    """Two counters run over within intervals, one begins anew; behind a hole at the end of an interval the
+    first rate is of the hole, too.
+    """
+    count = 300
+    table = pd.DataFrame({"time": np.arange(count) * 2.0, "wind": (340.0 + 7 * np.arange(count)) % 360})
+    table["count"] = ((64_000 + np.cumsum(rng.integers(1, 99, count))) % 65_536).astype(float)
+    table["total"] = np.cumsum(rng.random(count))
+    table.loc[200:, "total"] -= table["total"][200]
+    table.loc[100, "count"] = np.nan
+    table = table.drop(index=range(140, 150)).reset_index(drop=True)
+    means = means_of_all(table, behind_hole=10)
+    table.to_csv(tmp_path / "run.csv", index=False)
+    table.to_parquet(tmp_path / "run.parquet", row_group_size=7)
+    whole = jb.read(tmp_path / "run.csv", MEANS)
+    got = np.concatenate([whole.u, whole.y], 1)
+    np.testing.assert_allclose(got, means, rtol=1e-12)
+    assert np.isnan(got).sum(0).tolist() == [4, 2, 4] and len(got) == 20
+    parts = [piece for _, piece in open_source(tmp_path / "run.parquet", MEANS).pieces(min(size, count))]
+    pipe = MeansStream(PipeText(recorded_model(MEANS), lambda kind, sentence: None), MEANS)
+    data = (tmp_path / "run.csv").read_bytes()
+    live = [piece for _, piece in pipe.pieces(data[k : k + size] for k in range(0, len(data), size))]
+    for pieces in ([jb.Recording.of(MEANS, table)], parts, live):
+        u, y = (np.concatenate([getattr(piece, name) for piece in pieces]) for name in "uy")
+        assert len(u) in (len(whole.u), len(whole.u) - 1)  # a stream does not know that the last is over
+        np.testing.assert_array_equal(u, whole.u[: len(u)])
+        np.testing.assert_array_equal(y, whole.y[: len(u)])
 
 
 @pytest.mark.parametrize(
