@@ -35,9 +35,10 @@ from jaxbound.recordings.oddcells import error_hints, no_number, refuse_odd, tho
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import RecordingFormat, format_of
 from jaxbound.recordings.seams import may_turn_back, period_of, rows_apart
-from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
+from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Column, Wanted
 from jaxbound.recordings.signals import SignalModel, Signals
 from jaxbound.recordings.source import NUMBER, TEXT, WORDS, Outline, Progress, Source, with_hints
+from jaxbound.recordings.suspects import least_change
 from jaxbound.recordings.thousands import all_grouped, in_doubt, may_be_grouped
 from jaxbound.recordings.timestamps import order_of, parse_stamps
 from jaxbound.text.progress import reporter
@@ -180,8 +181,10 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
             stamps = stamps[rows]
     if layout.how.hold and written is not None:
         reader.refuse(cells, None, layout.row)
+        if not layout.how.deadband:
+            sentence = DEADBAND.format(hold=layout.how.hold, seen=_seen_deadbands(model, plan, cells))
+            hint = " ".join([hint, sentence]).strip()
         cells, time, stamps, written = _held(reader, cells, time, stamps, model)
-        hint = " ".join([hint, DEADBAND.format(hold=layout.how.hold)]).strip()
     columns = dict(cells.columns)
     if plan.time is not None:  # an expression may compare it with a date
         columns.setdefault(plan.time, time if stamps is None else stamps)
@@ -278,6 +281,18 @@ def _held(
         stamps = stamps[0] + np.round((grid - time[0]) * 1e9).astype("timedelta64[ns]")
     written = to_arrow(grid if stamps is None else stamps)
     return Cells(columns, None, {}, len(grid), cells.decimal), grid, stamps, written
+
+
+def _seen_deadbands(model: SignalModel, plan: Wanted, cells: Cells) -> str:
+    """Return the end of a sentence on the deadbands that outputs seem to be written by, or ""."""
+    seen: list[str] = []
+    for name, signal in zip(model.outputs, plan.outputs, strict=True):
+        if isinstance(signal, Column):
+            least = least_change(cells.columns[signal.name])
+            seen += [f"{name}:{least:.6g}"] * (least > 0)
+    if not seen:
+        return ""
+    return f", as they changed perhaps {','.join(seen)}"
 
 
 _FileTimes = tuple[np.ndarray, np.ndarray | None, str]
