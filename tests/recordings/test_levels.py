@@ -15,8 +15,13 @@ from jaxbound.recordings.signals import Signals
 T = 60
 MODEL = Signals(
     ("flow",),
-    ("north", "energy"),
-    {"flow": "= rate(count, 65536)", "energy": "= rate(total)", "north": "= cos(angle(wind))"},
+    ("north", "energy", "turn"),
+    {
+        "flow": "= rate(count, 65536)",
+        "energy": "= rate(total)",
+        "north": "= cos(angle(wind))",
+        "turn": "= rate(angle(wind))",
+    },
     2.0,
 )
 
@@ -34,7 +39,7 @@ def frame(rng):
 
 def expected(table):
     """Return (u, y) by hand."""
-    flow, energy = np.full((2, len(table)), np.nan)
+    flow, energy, turn = np.full((3, len(table)), np.nan)
     for k in range(1, len(table)):
         step = table["time"][k] - table["time"][k - 1]
         if step != 2:
@@ -42,7 +47,8 @@ def expected(table):
         flow[k] = (table["count"][k] - table["count"][k - 1]) % 65_536 / step
         if table["total"][k] >= table["total"][k - 1]:
             energy[k] = (table["total"][k] - table["total"][k - 1]) / step
-    return flow[:, None], np.stack([np.cos(np.radians(table["wind"])), energy], 1)
+        turn[k] = np.radians((table["wind"][k] - table["wind"][k - 1] + 180) % 360 - 180) / step
+    return flow[:, None], np.stack([np.cos(np.radians(table["wind"])), energy, turn], 1)
 
 
 def through_pipe(path, size):
@@ -72,7 +78,7 @@ def test_a_rate_does_not_look_at_a_sample_that_is_left_out(tmp_path, rng):
     table.to_csv(tmp_path / "run.csv", index=False)
     model = Signals(MODEL.inputs, MODEL.outputs, MODEL.columns | {"where": "wind != 350"}, 2.0)
     whole, of_table = jb.read(tmp_path / "run.csv", model), jb.Recording.of(model, table)
-    assert np.isnan(whole.u[[10, 11], 0]).all() and np.isnan(whole.y[10:12, 1]).all()
+    assert np.isnan(whole.u[[10, 11], 0]).all() and np.isnan(whole.y[10:12, 1:]).all()
     assert whole.y[11, 0] == 1.0 * np.cos(351 * (2 * np.pi / 360))
     np.testing.assert_array_equal(whole.u, of_table.u)
     np.testing.assert_array_equal(whole.y, of_table.y)
@@ -115,7 +121,7 @@ def test_means_of_rates_and_angles_are_the_same_by_file_parquet_table_and_pipe(t
     whole = jb.read(tmp_path / "run.csv", MEANS)
     got = np.concatenate([whole.u, whole.y], 1)
     np.testing.assert_allclose(got, means, rtol=1e-12)
-    assert np.isnan(got).sum(0).tolist() == [4, 2, 4] and len(got) == 20
+    assert np.isnan(got).sum(0).tolist() == [4, 2, 4, 3] and len(got) == 20
     parts = [piece for _, piece in open_source(tmp_path / "run.parquet", MEANS).pieces(min(size, count))]
     pipe = MeansStream(PipeText(recorded_model(MEANS), lambda kind, sentence: None), MEANS)
     data = (tmp_path / "run.csv").read_bytes()
@@ -137,11 +143,24 @@ def test_means_of_rates_and_angles_are_the_same_by_file_parquet_table_and_pipe(t
         ("rate(n, n)", "one number above 0"),
         ("rate(n, 8, 8)", "one number above 0"),
         ("sin(angle(wind, -1))", "one number above 0"),
+        ("sin(angle(wind, 3*pi))", "like 400 of gon or 2.pi"),
+        ("rate(angle(wind), 8)", "the angle says what is once around"),
+        ("rate(1 - angle(wind))", "jumps where it is once around"),
     ],
 )
 def test_what_an_angle_and_a_rate_take(text, sentence):
     with pytest.raises(ValueError, match=sentence):
         expression(text)
+
+
+@pytest.mark.parametrize(("text", "turn"), [("", 360), (", 400", 400), (", 2*pi", 2 * np.pi)])
+def test_an_angle_turns_the_shorter_way_around_and_nobody_knows_beyond_a_quarter(text, turn):
+    x = np.array([359, 1, 350, 85, 176, 265, np.nan, 300, 320]) * (turn / 360)
+    columns = {"W": x, "pi": np.zeros(9), "= seconds since the sample before": np.full(9, 0.5)}
+    columns["= seconds since the sample before"][-1] = np.nan  # behind a gap
+    turns = np.degrees(expression(f"rate(angle(W{text}))").values(columns)) * 0.5
+    nan = np.nan
+    np.testing.assert_allclose(turns, [nan, 2, -11, nan, nan, 89, nan, nan, nan], rtol=1e-9)
 
 
 def test_an_angle_stands_for_two_signals():
