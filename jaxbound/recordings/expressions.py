@@ -42,7 +42,7 @@ PERIODIC = SIN, COS = "sin", "cos"
 WRAPS = 0.1
 """Share of its range up to which a counter that falls has run over: beyond, it may have begun anew."""
 QUARTER = np.pi / 2  # of a turn: an angle that moves on by more may have gone the other way
-FULL_TURN, TURN = "2 * pi", ast.Constant(2 * np.pi)
+FULL_TURN = "2 * pi"
 LATE = 1.2
 """Usual steps from which on the sample before is too long ago for a rate."""
 
@@ -373,7 +373,8 @@ def expression(text: str) -> Expression:
     tree = _parsed(text, PIECES.sub(as_python, text).strip())
     for node in ast.walk(tree):  # a number, whatever columns are called
         if isinstance(node, ast.Call) and _calls(node) == ANGLE:
-            node.args[1:] = [TURN if ast.unparse(x) == FULL_TURN else x for x in node.args[1:]]
+            if list(map(ast.unparse, node.args[1:])) == [FULL_TURN]:
+                node.args[1] = ast.Constant(2 * np.pi)
     nodes = list(ast.walk(tree))
     _check_nodes(text, nodes)
     texts, strings = _compared_with_text(nodes)

@@ -161,6 +161,8 @@ def test_an_angle_turns_the_shorter_way_around_and_nobody_knows_beyond_a_quarter
     turns = np.degrees(expression(f"rate(angle(W{text}))").values(columns)) * 0.5
     nan = np.nan
     np.testing.assert_allclose(turns, [nan, 2, -11, nan, nan, 89, nan, nan, nan], rtol=1e-9)
+    both = expression(f"sin(angle(W{text}))**2 + cos(angle(W{text}))**2").values(columns)
+    np.testing.assert_allclose(both[~np.isnan(x)], 1.0, rtol=1e-9)
 
 
 def test_an_angle_stands_for_two_signals():
