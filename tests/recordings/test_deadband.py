@@ -90,7 +90,7 @@ def test_who_stands_still_and_then_changes_by_as_much_is_suspected(rng):
     assert [kind for kind, _ in suspicions("y", "y", held(walk, BAND))] == ["on change"]
     others = [
         walk,
-        np.round(walk / 4, 1),  # a recorder that rounds
+        np.round(walk / 2, 1),  # a recorder that rounds
         np.repeat(walk[::10], 10),  # one that asks a slow sensor
         np.repeat(rng.uniform(0, 100, 90), 10),  # what somebody sets
         np.repeat(np.arange(90), 10) % 7 * 0.37,
