@@ -18,6 +18,7 @@ from jaxbound.recordings.expressions import is_expression
 from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.means import every_of, with_every
 from jaxbound.recordings.meansource import means_source
+from jaxbound.recordings.otherunits import other_units
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import Formatted, RecordingFormat, Stated, format_of
@@ -231,6 +232,10 @@ def _no_levels(model: SignalModel, r: Recording) -> Iterator[str]:
             for kind, sentence in suspicions(name, model.column(name), np.asarray(x, float)):
                 if kind != "on change" or not (how.hold or how.deadband or names is model.inputs):
                     yield sentence
+    both = np.concatenate([r.u[:, : model.m], r.y], 1)
+    for name, sentence in other_units((*model.inputs, *model.outputs), both):
+        if not is_expression(model.column(name)):
+            yield sentence
 
 
 def _name_of(signal: Signal) -> str:
