@@ -14,6 +14,7 @@ ROWS, COLUMNS = 1000, 100  # that are looked at: enough for what holds in each r
 FEW, VALUES = 50, 10  # rows, different numbers: fewer show nothing
 ALIKE, LEVEL = 0.02, 0.2
 """Shares of its spread that a column may be off: where a factor is to be known, and where a level is, too."""
+SHIFT = 0.05  # share of that level: where columns spread far, it is to be seen
 ONE, SOME = 1.05, 0.3  # how far a fraction goes, and goes at least
 PERCENT = re.compile(r"%|\bperc|\bpct|prozent", re.IGNORECASE)
 LETTERS = 3  # of a name: shorter ones, like x1 and x2, are of anything
@@ -71,8 +72,10 @@ def _converted(names: Sequence[str], x: np.ndarray) -> Iterator[tuple[str, str]]
     for number, (factor, shift, _) in enumerate(CONVERSIONS):
         level = mean[None, :] - factor * mean[:, None] - shift
         spread = variance[None, :] - 2 * factor * products + factor**2 * variance[:, None]
-        most = LEVEL if shift else ALIKE
-        off[number] = np.sqrt((level**2 + np.maximum(spread, 0)) / variance[None, :]) / most
+        most = ALIKE * np.sqrt(variance)
+        if shift:
+            most = np.minimum(LEVEL * np.sqrt(variance), SHIFT * abs(shift))
+        off[number] = np.sqrt(level**2 + np.maximum(spread, 0)) / most
     for j, name in enumerate(names):
         number, i = divmod(int(np.argmin(off[:, :, j])), len(names))
         factor, shift, text = CONVERSIONS[number]

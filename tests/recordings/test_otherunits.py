@@ -53,6 +53,8 @@ def test_what_is_alike_by_chance_is_not_named(rng):
     x = walk(rng)
     follows = [x, 2 * x, 1.8 * x + 40, x + 270, 55 * x, 0.4 * x + 60, walk(rng, 68, 3.6), walk(rng, 293.15)]
     assert not list(other_units([f"c{i}" for i in range(8)], np.stack(follows, 1)))
+    far = np.stack([walk(rng, 9000, 20_000), x], 1)
+    assert not list(other_units(["far", "x"], far)), "no column is another by itself"
     assert not list(other_units([], np.zeros((T, 0)))) and not list(
         other_units(["a"], np.full((T, 1), np.nan))
     )
