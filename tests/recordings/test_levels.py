@@ -27,8 +27,11 @@ MODEL = Signals(
 
 
 def frame(rng):
-    """Return counters of which one runs over and one begins anew, a gap, a missing count, and a wind."""
+    """Return counters of which one runs over and one begins anew, a gap, a missing count, and a wind that
+    turns, once so far that nobody knows which way.
+    """
     table = pd.DataFrame({"time": np.arange(T) * 2.0, "wind": (340.0 + np.arange(T)) % 360})
+    table.loc[50:, "wind"] = (table["wind"][50:] + 120) % 360
     table["count"] = ((65_400 + np.cumsum(rng.integers(1, 9, T))) % 65_536).astype(float)
     table["total"] = np.cumsum(rng.random(T))
     table.loc[30:, "total"] -= table["total"][30]
@@ -47,7 +50,9 @@ def expected(table):
         flow[k] = (table["count"][k] - table["count"][k - 1]) % 65_536 / step
         if table["total"][k] >= table["total"][k - 1]:
             energy[k] = (table["total"][k] - table["total"][k - 1]) / step
-        turn[k] = np.radians((table["wind"][k] - table["wind"][k - 1] + 180) % 360 - 180) / step
+        turned = (table["wind"][k] - table["wind"][k - 1] + 180) % 360 - 180
+        if abs(turned) <= 90:
+            turn[k] = np.radians(turned) / step
     return flow[:, None], np.stack([np.cos(np.radians(table["wind"])), energy, turn], 1)
 
 
