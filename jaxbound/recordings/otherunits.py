@@ -20,7 +20,7 @@ PERCENT = re.compile(r"%|\bperc|\bpct|prozent", re.IGNORECASE)
 LETTERS = 3  # of a name: shorter ones, like x1 and x2, are of anything
 
 
-class Conversion(NamedTuple):
+class UnitPair(NamedTuple):
     """A column is factor * another + shift. Fields: text: as what is of what."""
 
     factor: float
@@ -28,58 +28,63 @@ class Conversion(NamedTuple):
     text: str
 
 
-CONVERSIONS = (
-    Conversion(1.8, 32.0, "degF of degC"),
-    Conversion(1.0, 273.15, "kelvin of degC"),
-    Conversion(1.8, -459.67, "degF of kelvin"),
-    Conversion(100.0, 0.0, "percent of a fraction or kPa of bar"),
-    Conversion(1e3, 0.0, "W of kW or Pa of kPa"),
-    Conversion(1e5, 0.0, "Pa of bar"),
-    Conversion(6.894757, 0.0, "kPa of psi"),
-    Conversion(14.503774, 0.0, "psi of bar"),
-    Conversion(3.6, 0.0, "m3/h of l/s or km/h of m/s"),
-    Conversion(60.0, 0.0, "l/min of l/s"),
-    Conversion(50 / 3, 0.0, "l/min of m3/h"),
+UNIT_PAIRS = (
+    UnitPair(1.8, 32.0, "degF of degC"),
+    UnitPair(1.0, 273.15, "kelvin of degC"),
+    UnitPair(1.8, -459.67, "degF of kelvin"),
+    UnitPair(100.0, 0.0, "percent of a fraction or kPa of bar"),
+    UnitPair(1e3, 0.0, "W of kW or Pa of kPa"),
+    UnitPair(1e5, 0.0, "Pa of bar"),
+    UnitPair(6.894757, 0.0, "kPa of psi"),
+    UnitPair(14.503774, 0.0, "psi of bar"),
+    UnitPair(3.6, 0.0, "m3/h of l/s or km/h of m/s"),
+    UnitPair(60.0, 0.0, "l/min of l/s"),
+    UnitPair(50 / 3, 0.0, "l/min of m3/h"),
 )
 
 
-def other_units(names: Sequence[str], x: np.ndarray) -> Iterator[tuple[str, str]]:
+def other_units(names: Sequence[str], *parts: np.ndarray) -> Iterator[tuple[str, str]]:
     """Yield (column, a sentence) where its unit may be another than that of the like of it.
 
     Args:
-        names: of p columns. x: (T, p) their numbers, NaN where there is none.
+        names: of columns. parts: (T, p) each, their numbers, NaN where there is none.
 
     Example:
         >>> c = 20 + np.sin(np.arange(90.0))
         >>> list(other_units(["in", "out"], np.stack([c, 1.8 * c + 32], 1)))
         [('out', 'out is 1.8 * in + 32, as degF of degC: it may be in another unit')]
     """
-    rows = np.unique(np.linspace(0, len(x) - 1, ROWS).astype(int))
-    few = np.asarray(x[rows, :COLUMNS], float)
-    lively = [i for i, column in enumerate(few.T) if len(np.unique(column[np.isfinite(column)])) >= VALUES]
-    names, few = [names[i] for i in lively], few[:, lively]
-    yield from _converted(names, few[np.isfinite(few).all(1)])
-    yield from _fractions(names, few)
+    rows = np.unique(np.linspace(0, len(parts[0]) - 1, ROWS).astype(int))
+    few = np.concatenate([np.asarray(x[rows], float) for x in parts], 1)[:, :COLUMNS]
+    lively: dict[str, np.ndarray] = {}
+    for name, x in zip(names, few.T, strict=False):
+        if len(np.unique(x[np.isfinite(x)])) >= VALUES:
+            lively[name] = x
+    if lively:
+        few = np.stack([*lively.values()], 1)
+        yield from _by_unit_pairs([*lively], few[np.isfinite(few).all(1)])
+        yield from _among_percents([*lively], few)
 
 
-def _converted(names: Sequence[str], x: np.ndarray) -> Iterator[tuple[str, str]]:
+def _by_unit_pairs(names: Sequence[str], x: np.ndarray) -> Iterator[tuple[str, str]]:
     """Yield (column, a sentence) on columns (N, p) that are others but for the numbers of a unit."""
     if len(x) < FEW or len(names) < 2:
         return
     mean, products = x.mean(0), np.cov(x.T)
     variance = np.diag(products)
-    off = np.empty((len(CONVERSIONS), len(names), len(names)))  # of the second name from the first
-    for number, (factor, shift, _) in enumerate(CONVERSIONS):
+    off = np.empty((len(UNIT_PAIRS), len(names), len(names)))  # of the second name from the first
+    for number, (factor, shift, _) in enumerate(UNIT_PAIRS):
         level = mean[None, :] - factor * mean[:, None] - shift
         spread = variance[None, :] - 2 * factor * products + factor**2 * variance[:, None]
         most = ALIKE * np.sqrt(variance)
         if shift:
             most = np.minimum(LEVEL * np.sqrt(variance), SHIFT * abs(shift))
-        off[number] = np.sqrt(level**2 + np.maximum(spread, 0)) / most
+        with np.errstate(all="ignore"):  # of one that does not move in these rows
+            off[number] = np.sqrt(level**2 + np.maximum(spread, 0)) / most
     for j, name in enumerate(names):
         number, i = divmod(int(np.argmin(off[:, :, j])), len(names))
-        factor, shift, text = CONVERSIONS[number]
-        if off[number, i, j] > 1 or _units_differ(names[i], name):
+        factor, shift, text = UNIT_PAIRS[number]
+        if not off[number, i, j] <= 1 or _units_differ(names[i], name):
             continue
         terms = [f"{factor:.6g} * {names[i]}".removeprefix("1 * "), f"{abs(shift):g}"]
         formula = (" - " if shift < 0 else " + ").join(terms[: 1 + (shift != 0)])
@@ -92,20 +97,21 @@ def _units_differ(one: str, other: str) -> bool:
     return all(units) and not same_unit(*units)
 
 
-def _fractions(names: Sequence[str], x: np.ndarray) -> Iterator[tuple[str, str]]:
+def _among_percents(names: Sequence[str], x: np.ndarray) -> Iterator[tuple[str, str]]:
     """Yield (column, a sentence) on columns (N, p) between 0 and 1 of which others are in percent."""
     low, high = np.nanmin(x, axis=0, initial=np.inf), np.nanmax(x, axis=0, initial=-np.inf)
     is_fraction = (low >= 0) & (high >= SOME) & (high <= ONE)
     of_percent = (low >= 0) & (high > 2 * ONE) & (high <= 100 * ONE)
     for i in np.flatnonzero(is_fraction).tolist():
         name, span = names[i], f"lies between {low[i]:.4g} and {high[i]:.4g}"
-        alike = [j for j in np.flatnonzero(of_percent).tolist() if _stem(names[j]) == _stem(name)]
-        alike = [j for j in alike if not _units_differ(names[j], name)]
         if PERCENT.search(name):
             yield name, f"{name} {span}: it may be a fraction, though its name says percent"
-        elif alike:
-            top = f"{names[alike[0]]} goes up to {high[alike[0]]:.4g}"
-            yield name, f"{name} {span}, {top}: it may be a fraction where the other is in percent"
+            continue
+        for j in np.flatnonzero(of_percent).tolist():
+            if _stem(names[j]) == _stem(name) and not _units_differ(names[j], name):
+                top = f"{names[j]} goes up to {high[j]:.4g}"
+                yield name, f"{name} {span}, {top}: it may be a fraction where the other is in percent"
+                break
 
 
 def _stem(name: str) -> str:

@@ -232,8 +232,7 @@ def _no_levels(model: SignalModel, r: Recording) -> Iterator[str]:
             for kind, sentence in suspicions(name, model.column(name), np.asarray(x, float)):
                 if kind != "on change" or not (how.hold or how.deadband or names is model.inputs):
                     yield sentence
-    both = np.concatenate([r.u[:, : model.m], r.y], 1)
-    for name, sentence in other_units((*model.inputs, *model.outputs), both):
+    for name, sentence in other_units((*model.inputs, *model.outputs), r.u[:, : model.m], r.y):
         if not is_expression(model.column(name)):
             yield sentence
 

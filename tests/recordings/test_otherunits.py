@@ -55,6 +55,8 @@ def test_what_is_alike_by_chance_is_not_named(rng):
     assert not list(other_units([f"c{i}" for i in range(8)], np.stack(follows, 1)))
     far = np.stack([walk(rng, 9000, 20_000), x], 1)
     assert not list(other_units(["far", "x"], far)), "no column is another by itself"
+    early, still = np.where(np.arange(T) < 99, x, np.nan), np.where(np.arange(T) < 99, 5.0, x)
+    assert not list(other_units(["still", "early"], np.stack([still, early], 1))), "nothing shows it there"
     assert not list(other_units([], np.zeros((T, 0)))) and not list(
         other_units(["a"], np.full((T, 1), np.nan))
     )
