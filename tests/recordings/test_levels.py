@@ -1,5 +1,8 @@
 """Columns that are no levels: angles and counters, the same by every door and in pieces; who is suspected."""
 
+import json
+from functools import partial
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,6 +14,7 @@ from jaxbound.recordings.meanstream import MeansStream
 from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.read import open_source
 from jaxbound.recordings.signals import Signals
+from jaxbound.recordings.stream import Taken
 
 T = 60
 MODEL = Signals(
@@ -56,10 +60,14 @@ def expected(table):
     return flow[:, None], np.stack([np.cos(np.radians(table["wind"])), energy, turn], 1)
 
 
-def through_pipe(path, size):
-    pipe = PipeText(MODEL, lambda kind, sentence: None)
-    data = path.read_bytes()
-    pieces = [pipe.take(data[k : k + size]) for k in range(0, len(data), size)]
+def through_pipe(path, size, kill=False, model=MODEL):
+    """Return the pieces of a pipe; kill: by a process each."""
+    pipe, data, pieces = PipeText(model, lambda kind, sentence: None), path.read_bytes(), []
+    for k in range(0, len(data), size):
+        pieces.append(pipe.take(data[k : k + size]))
+        memory = pipe.memory()
+        if kill and memory is not None:
+            pipe = PipeText(model, lambda kind, sentence: None, json.loads(json.dumps(memory)))
     return [piece for piece in pieces if piece is not None]
 
 
@@ -76,6 +84,32 @@ def test_rates_and_angles_are_the_same_by_file_parquet_table_and_pipe(tmp_path, 
     for pieces in ([jb.Recording.of(MODEL, table)], parts, through_pipe(tmp_path / "run.csv", size)):
         np.testing.assert_array_equal(np.concatenate([piece.u for piece in pieces]), whole.u)
         np.testing.assert_array_equal(np.concatenate([piece.y for piece in pieces]), whole.y)
+
+
+def test_another_process_knows_the_last_row_where_a_rate_needs_it(tmp_path, rng):
+    frame(rng).assign(state="on").to_csv(tmp_path / "run.csv", index=False)
+    model = Signals(MODEL.inputs, MODEL.outputs, MODEL.columns | {"where": "state == 'on'"}, 2.0)
+    once, killed = (through_pipe(tmp_path / "run.csv", 97, kill, model) for kill in (False, True))
+    assert len(killed) > 10
+    for name in ("u", "y"):
+        whole, parts = (np.concatenate([getattr(piece, name) for piece in run]) for run in (once, killed))
+        np.testing.assert_array_equal(parts, whole)
+
+
+def test_a_sender_that_begins_again_and_stops_has_not_said_the_last_row(tmp_path, rng):
+    frame(rng).to_csv(tmp_path / "run.csv", index=False)
+    lines = (tmp_path / "run.csv").read_bytes().splitlines(keepends=True)
+    pipe = PipeText(MODEL, lambda kind, sentence: None)
+    whole = pipe.take(b"".join(lines))
+    memory, pieces, known = None, [], bytearray()
+    for first, stop in ((0, 16), (0, 8), (16, 40), (0, 61)):
+        taken = Taken(partial(bytes, known))
+        pipe = PipeText(MODEL, lambda kind, sentence: None, memory, taken)
+        pieces.append(pipe.take(b"".join(lines[first:stop])))
+        memory = pipe.memory()
+        known += taken.fresh
+    y = np.concatenate([piece.y for piece in pieces if piece is not None])
+    np.testing.assert_array_equal(y, whole.y)
 
 
 def test_a_rate_does_not_look_at_a_sample_that_is_left_out(tmp_path, rng):
