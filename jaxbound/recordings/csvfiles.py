@@ -2,6 +2,7 @@
 names.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from io import BytesIO, FileIO
@@ -28,7 +29,7 @@ from jaxbound.recordings.csvtext import (
     is_value,
     layout_of,
 )
-from jaxbound.recordings.hold import DEADBAND, grid_of, held
+from jaxbound.recordings.hold import DEADBAND, INPUTS, grid_of, held
 from jaxbound.recordings.linetext import Cells, LineReader, Opened, reader_of, refuse_infinite
 from jaxbound.recordings.longformat import pivoted
 from jaxbound.recordings.oddcells import error_hints, no_number, refuse_odd, thousands, unsaid_hints
@@ -181,9 +182,7 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
             stamps = stamps[rows]
     if layout.how.hold and written is not None:
         reader.refuse(cells, None, layout.row)
-        if not layout.how.deadband:
-            sentence = DEADBAND.format(hold=layout.how.hold, seen=_seen_deadbands(model, plan, cells))
-            hint = " ".join([hint, sentence]).strip()
+        hint = " ".join(filter(None, [hint, *_deadband_hints(layout.how, model, plan, cells)]))
         cells, time, stamps, written = _held(reader, cells, time, stamps, model)
     columns = dict(cells.columns)
     if plan.time is not None:  # an expression may compare it with a date
@@ -283,16 +282,18 @@ def _held(
     return Cells(columns, None, {}, len(grid), cells.decimal), grid, stamps, written
 
 
-def _seen_deadbands(model: SignalModel, plan: Wanted, cells: Cells) -> str:
-    """Return the end of a sentence on the deadbands that outputs seem to be written by, or ""."""
-    seen: list[str] = []
-    for name, signal in zip(model.outputs, plan.outputs, strict=True):
-        if isinstance(signal, Column):
-            least = least_change(cells.columns[signal.name])
-            seen += [f"{name}:{least:.6g}"] * (least > 0)
-    if not seen:
-        return ""
-    return f", as they changed perhaps {','.join(seen)}"
+def _deadband_hints(how: RecordingFormat, model: SignalModel, plan: Wanted, cells: Cells) -> Iterator[str]:
+    """Yield sentences on the deadbands that are not stated, and those that inputs seem to be written by."""
+    seen: dict[str, str] = {}
+    for name, signal in zip((*model.inputs, *model.outputs), (*plan.inputs, *plan.outputs), strict=True):
+        if isinstance(signal, Column) and least_change(cells.columns[signal.name]):
+            seen[name] = f"{name}:{least_change(cells.columns[signal.name]):.6g}"
+    of_outputs = [seen[name] for name in model.outputs if name in seen]
+    if not how.deadband:
+        perhaps = f", as they changed perhaps {','.join(of_outputs)}" * bool(of_outputs)
+        yield DEADBAND.format(hold=how.hold, seen=perhaps)
+    if len(seen) > len(of_outputs):
+        yield INPUTS.format(seen=",".join(seen[name] for name in model.inputs if name in seen))
 
 
 _FileTimes = tuple[np.ndarray, np.ndarray | None, str]

@@ -16,6 +16,10 @@ DEADBAND = (
     "values stand for at most {hold} (hold): changes that the recorder did not write are errors: state its "
     "`deadband` beside hold{seen}"
 )
+INPUTS = (
+    "inputs changed by a deadband or more, perhaps {seen}: a model takes them as they are recorded, so that "
+    "bounds of disturbances have to hold the rest"
+)
 NEVER = -1
 
 

@@ -84,6 +84,14 @@ def test_fit_takes_the_deadband_as_part_of_its_bounds_and_writes_it_once(tmp_pat
     assert "perhaps y:0.30" in hint and not any("deadband" in x for x in jb.read(path, model).hints)
 
 
+def test_an_input_that_is_written_on_change_has_no_bound_by_itself(tmp_path, rng):
+    path = on_change(tmp_path / "run.csv", rng)
+    swapped = jb.LinearSystem([[0.9]], [[0.2]], [[1]], noise=1, inputs=["y"], outputs=["u"])
+    swapped = swapped.replace(columns=with_format({}, {"hold": "1h", "deadband": "1"}))
+    (hint,) = [x for x in jb.read(path, swapped).hints if "deadband" in x]
+    assert hint.startswith("inputs changed by a deadband or more, perhaps y:0.30")
+
+
 def test_who_stands_still_and_then_changes_by_as_much_is_suspected(rng):
     walk = np.cumsum(rng.normal(size=900) * 0.1)
     assert BAND < least_change(held(walk, BAND)) < 1.05 * BAND
