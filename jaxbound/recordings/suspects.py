@@ -67,8 +67,8 @@ def least_change(x: np.ndarray) -> float:
     more than its deadband, which is less; 0 of others.
 
     Example:
-        >>> least_change(np.cumsum(np.where(np.arange(90) % 4 < 2, 0.51, -0.62)))
-        0.51...
+        >>> round(least_change(np.cumsum(np.where(np.arange(90) % 4 < 2, 0.51, -0.62))), 6)
+        0.51
     """
     x = x[np.isfinite(x)]
     changes = abs(np.diff(x))
