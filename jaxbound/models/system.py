@@ -34,6 +34,7 @@ from jaxbound.models.times import times_of
 from jaxbound.models.uncertainty import Uncertainty, centred
 from jaxbound.models.unknown import Bounded, Coupling, Given, without_descriptor
 from jaxbound.recordings.factors import Factor
+from jaxbound.recordings.recordingformat import RECORDING, RecordingFormat
 from jaxbound.text.objects import readable
 from jaxbound.text.units import without_unit
 
@@ -244,7 +245,8 @@ class LinearSystem:
         signals = model_signals(sizes, names, offset, units, columns, ranges)
         refuse_other_every(signals.columns, parts.dt, bool(times))
         length, sparse = _window(horizon, lags)
-        measured = sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance)
+        how = RecordingFormat.of(dict(signals.columns).get(RECORDING))
+        measured = sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance, how)
         factors = times_of(times, signals, measured, bool(parts.uncertainties))
         measured = replace(measured, times=factors)
         vars(self).update(

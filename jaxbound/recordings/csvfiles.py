@@ -2,6 +2,7 @@
 names.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from io import BytesIO, FileIO
@@ -28,16 +29,17 @@ from jaxbound.recordings.csvtext import (
     is_value,
     layout_of,
 )
-from jaxbound.recordings.hold import DEADBAND, grid_of, held
+from jaxbound.recordings.hold import DEADBAND, INPUTS, grid_of, held
 from jaxbound.recordings.linetext import Cells, LineReader, Opened, reader_of, refuse_infinite
 from jaxbound.recordings.longformat import pivoted
 from jaxbound.recordings.oddcells import error_hints, no_number, refuse_odd, thousands, unsaid_hints
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import RecordingFormat, format_of
 from jaxbound.recordings.seams import may_turn_back, period_of, rows_apart
-from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
+from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Column, Wanted
 from jaxbound.recordings.signals import SignalModel, Signals
 from jaxbound.recordings.source import NUMBER, TEXT, WORDS, Outline, Progress, Source, with_hints
+from jaxbound.recordings.suspects import least_change
 from jaxbound.recordings.thousands import all_grouped, in_doubt, may_be_grouped
 from jaxbound.recordings.timestamps import order_of, parse_stamps
 from jaxbound.text.progress import reporter
@@ -180,8 +182,8 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
             stamps = stamps[rows]
     if layout.how.hold and written is not None:
         reader.refuse(cells, None, layout.row)
+        hint = " ".join(filter(None, [hint, *_deadband_hints(layout.how, model, plan, cells)]))
         cells, time, stamps, written = _held(reader, cells, time, stamps, model)
-        hint = " ".join([hint, DEADBAND.format(hold=layout.how.hold)]).strip()
     columns = dict(cells.columns)
     if plan.time is not None:  # an expression may compare it with a date
         columns.setdefault(plan.time, time if stamps is None else stamps)
@@ -278,6 +280,20 @@ def _held(
         stamps = stamps[0] + np.round((grid - time[0]) * 1e9).astype("timedelta64[ns]")
     written = to_arrow(grid if stamps is None else stamps)
     return Cells(columns, None, {}, len(grid), cells.decimal), grid, stamps, written
+
+
+def _deadband_hints(how: RecordingFormat, model: SignalModel, plan: Wanted, cells: Cells) -> Iterator[str]:
+    """Yield sentences on the deadbands that are not stated, and those that inputs seem to be written by."""
+    seen: dict[str, str] = {}
+    for name, signal in zip((*model.inputs, *model.outputs), (*plan.inputs, *plan.outputs), strict=True):
+        if isinstance(signal, Column) and least_change(cells.columns[signal.name]):
+            seen[name] = f"{name}:{least_change(cells.columns[signal.name]):.6g}"
+    of_outputs = [seen[name] for name in model.outputs if name in seen]
+    if not how.deadband:
+        perhaps = f", as they changed perhaps {','.join(of_outputs)}" * bool(of_outputs)
+        yield DEADBAND.format(hold=how.hold, seen=perhaps)
+    if len(seen) > len(of_outputs):
+        yield INPUTS.format(seen=",".join(seen[name] for name in model.inputs if name in seen))
 
 
 _FileTimes = tuple[np.ndarray, np.ndarray | None, str]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from os import PathLike
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxbound.recordings.hints import recorded_step
+from jaxbound.recordings.otherunits import other_units
 from jaxbound.recordings.read import kind_of, open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import (
@@ -268,6 +269,9 @@ def look(
             columns.append(LookedColumn(name, "unread", findings=(Finding("not read", sentence),)))
         elif name:
             columns.append(LookedColumn(name, TEXT))
+    for name, sentence in other_units(run.outputs, run.y):
+        i = [column.name for column in columns].index(name)
+        columns[i] = replace(columns[i], findings=(*columns[i].findings, Finding("unit?", sentence)))
     period, hints, every = _clock_of(run, clock is not None)
     if clock is not None and period is None:
         hints = (*hints, *_row_a_tag(columns))

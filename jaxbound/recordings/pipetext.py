@@ -83,6 +83,7 @@ class PipeText(Stream):
         self.returns = 0  # carriage returns at the end, which may be the first half of a line end
         self.replaying = False  # the lines that come are those that a process before had judged
         self.was_broken = False  # behind the last sample of that one
+        self.was_before: dict[str, np.ndarray] = {}
         self.before: dict[str, np.ndarray] = {}  # the last row, where a signal looks back
         self.line = b""  # the last row
         self.shown: list[float] | None = []
@@ -106,6 +107,9 @@ class PipeText(Stream):
         if memory["numbers"] is not None:
             counting, scale, origin = memory["numbers"]
             self.numbers = Numbers(Counting(*counting), scale, origin)
+        for name, cell in memory.get("before", {}).items():
+            self.was_before[name] = np.array([cell], object if name in reader.texts else float)
+        self.before = self.was_before
         self.broken, self.resumed = memory["broken"], memory["number"]
         self.was_broken, self.shown = self.broken, None
 
@@ -115,9 +119,9 @@ class PipeText(Stream):
         """
         if self.reader is None:
             return None
-        broken = self.broken or bool(self.blank)
+        broken, before = self.broken or bool(self.blank), self.before
         if self.replaying:
-            broken = self.was_broken
+            broken, before = self.was_broken, self.was_before
         return {
             "head": [line.decode("latin-1") for line in self.head],
             "number": max(self.number, self.resumed),
@@ -128,6 +132,7 @@ class PipeText(Stream):
             "unit_known": self.unit_known,
             "texts": self.texts,
             "broken": broken,
+            "before": {name: x.item() for name, x in before.items() if x.dtype.kind != "M"},
             "reader": self.reader.memory(),
         }
 
@@ -526,7 +531,7 @@ class PipeText(Stream):
             if before and not self.broken:
                 behind = 1
                 since = np.append(before[TIME], since)
-                columns = {name: np.append(before[name], x) for name, x in columns.items()}
+                columns = {name: np.append(before.get(name, x[:1]), x) for name, x in columns.items()}
                 if stamps is not None:
                     stamps = np.append(stamps[:1], stamps)
         u, y, excluded = plan.samples(columns, count + behind, (since, stamps), dt=self.dt)

@@ -18,9 +18,10 @@ from jaxbound.recordings.expressions import is_expression
 from jaxbound.recordings.live import LiveSource
 from jaxbound.recordings.means import every_of, with_every
 from jaxbound.recordings.meansource import means_source
+from jaxbound.recordings.otherunits import other_units
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.recordingformat import Formatted, RecordingFormat, Stated
+from jaxbound.recordings.recordingformat import Formatted, RecordingFormat, Stated, format_of
 from jaxbound.recordings.seams import FEW, TOLERATED_DT, UNITS, varied_steps
 from jaxbound.recordings.signals import Named, SignalModel, Signals, signals_of
 from jaxbound.recordings.source import KINDS, Outline, Source
@@ -223,12 +224,17 @@ def read_signals(
 
 def _no_levels(model: SignalModel, r: Recording) -> Iterator[str]:
     """Yield a sentence on each signal that is taken as a level from a column that is none."""
+    how = format_of(model)
     for names, samples in ((model.inputs, r.u), (model.outputs, r.y)):
         for name, x in zip(names, samples.T, strict=False):  # factors stand behind the inputs
             if is_expression(model.column(name)):
                 continue
-            for _, sentence in suspicions(name, model.column(name), np.asarray(x, float)):
-                yield sentence
+            for kind, sentence in suspicions(name, model.column(name), np.asarray(x, float)):
+                if kind != "on change" or not (how.hold or how.deadband or names is model.inputs):
+                    yield sentence
+    for name, sentence in other_units((*model.inputs, *model.outputs), r.u[:, : model.m], r.y):
+        if not is_expression(model.column(name)):
+            yield sentence
 
 
 def _name_of(signal: Signal) -> str:
