@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,6 +40,12 @@ MOST = 1_000_000  # samples that are looked at of a recording that is read in pi
 BINS = 600  # of a picture
 FEW_WORDS = 20  # that stand for missing samples
 SET = 0.2  # share of steps up to which a column that is set by somebody changes
+GIVEN = re.compile(
+    r"set.?point|\bsp\b|command|\bcmd\b|control.signal|demand|valve|damper|outdoor|outside|ambient|weather"
+    r"|solar",
+    re.IGNORECASE,
+)
+"""Names of what the plant is told, and of what surrounds it: what it does changes neither."""
 SHOWN, NAMED = 40, 12  # columns of the table, names of the command, that are shown at most
 USUAL = {"header": 1, "delimiter": ",", "decimal": ".", "encoding": "utf-8"}
 WIDE = 26  # letters of a name in the table
@@ -216,7 +223,8 @@ def look(
 
     Nothing is refused that a sentence can tell: columns that cannot be read are listed with the reason. What
     stands still, may stand for a missing sample, or is no level (an angle, a counter) is named. Which columns
-    are inputs only you know: the command takes those that change rarely for some.
+    are inputs only you know: the command takes those that change rarely for some, and those that are named as
+    commands, valves or weather are.
 
     Args:
         data: a path, as `read` takes it, or a table. recording: how the file is written, as for `read`. dt:
@@ -450,7 +458,7 @@ def _command(door: _Door, columns: Sequence[LookedColumn], every: str) -> str:
     """Return the command that fits a model to a recording. every: interval of means that is needed, or ""."""
     entries: dict[str, list[str]] = {"--inputs": [], "--outputs": []}
     for column in columns:
-        is_set = column.changes <= SET and column.entry == column.name
+        is_set = (column.changes <= SET or GIVEN.search(column.name)) and column.entry == column.name
         entries["--inputs" if is_set else "--outputs"].append(column.entry)
     if not any(entries["--outputs"]):
         entries = {"--outputs": entries["--inputs"]}

@@ -63,6 +63,14 @@ def test_the_command_is_one_to_go_on_with(path, capsys, tmp_path):
     assert dict(found.rows())["go on"] == found.command
 
 
+def test_names_of_what_a_plant_is_told_and_of_what_surrounds_it_are_those_of_inputs(rng):
+    names = ["Cooling Set Point", "FCV SP", "valve_cmd", "Outdoor Air", "Supply Air", "spin", "Temperatur"]
+    found = jb.look({name: rng.uniform(0, 1, 60) for name in names}, dt=1)
+    inputs, _, outputs = found.command.partition(" --inputs ")[2].partition(" --outputs ")
+    assert inputs == f"'{','.join(names[:4])}'"
+    assert outputs.startswith(f"'{','.join(names[4:])}' ")
+
+
 @pytest.mark.parametrize("kind", ["parquet", "folder", "table"])
 def test_every_kind_of_recording_looks_the_same(tmp_path, rng, kind):
     table = frame(rng)
