@@ -194,6 +194,20 @@ def test_an_alarm_says_how_wide_bounds_outside_are(rng):
     assert "u1 at -3, training from -1, where bounds are 1.5 times as wide" in said
 
 
+@pytest.mark.parametrize("speaks", ["long", "short"])
+def test_an_alarm_of_a_monitor_names_the_factor_of_the_test_that_speaks(rng, speaks):
+    factors = {"long": 1.2, "short": 2}
+    tests = []
+    for name, horizon in (("long", 3), ("short", 1)):
+        own = {"extrapolation": factors[name], "outputs": [{"name": "y1", "noise": "0.2"}]}
+        tests.append({"name": name, "horizon": horizon, "model": own, "factor": 1 if name == speaks else 9})
+    res = jb.detect(jb.monitor(plant(), tests), *recording(rng))
+    (alarm,) = (alarm for alarm in res.alarms() if alarm.outside)
+    said = f"u1 at -3, training from -1, where bounds are {factors[speaks]:g} times as wide"
+    assert alarm.test == speaks and alarm.outside_by == alarm.diagnose().outside == said
+    assert res.beyond.words == said.replace(f"{factors[speaks]:g}", "up to 2")
+
+
 def test_a_window_outside_that_the_stated_bounds_explain_has_a_certificate_that_is_confirmed(rng):
     u, y = recording(rng)
     res, stated = (jb.detect(jb.parity_relations(plant(factor), 3), u, y) for factor in (G, None))
