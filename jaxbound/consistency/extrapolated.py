@@ -7,6 +7,7 @@ An observer carries one set from sample to sample: no window of it has bounds th
 verdicts are those of the bounds as stated.
 """
 
+from fractions import Fraction
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -14,10 +15,8 @@ import numpy as np
 from jaxbound.consistency.interface import EXACT, Relations, WindowTest
 from jaxbound.models.region import Region
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.widths import widened, widened_ends
 from jaxbound.sets.floats import rounding
-
-UP = 1 + 8 * np.finfo(float).eps
-"""What rounding may take from a product and a sum."""
 
 
 class Extrapolated(NamedTuple):
@@ -56,22 +55,19 @@ def outside_test(test: WindowTest) -> tuple[Region, WindowTest] | None:
 
 def _wider(relations: Relations, model: LinearSystem) -> dict[str, np.ndarray]:
     """Return the bounds outside of training. Ranges of uncertain parameters stay as they are."""
-    factor = float(model.extrapolation or 1)
-    bounds = {name: np.asarray(bound) for name, bound in relations.bounds.items()}
-    rounds = rounding.round_up(list(model.resolution))  # beside the bounds: it stays, and they grow for it
+    factor = model.extrapolation or Fraction(1)
+    # of relations, not of the model: `tune` may have moved them
+    bounds = {name: tuple(map(Fraction, np.ravel(x).tolist())) for name, x in relations.bounds.items()}
     wider = {
-        "noise": (factor * bounds["noise"] + (factor - 1) * rounds) * UP,
-        "tolerance": np.minimum(factor * bounds["tolerance"] * UP, np.nextafter(1, 0)),
+        "noise": rounding.round_up(widened(bounds["noise"], factor, model.resolution)),
+        "tolerance": np.minimum(rounding.round_up(widened(bounds["tolerance"], factor)), np.nextafter(1, 0)),
     }
     if "average" in bounds:
-        more = np.zeros(len(model.averages))
-        for number, average in enumerate(model.averages):
-            measured, signal = average.place(model.outputs)
-            if measured:
-                more[number] = rounds[signal] * float(sum(map(abs, average.weights)))
-        wider["average"] = (factor * bounds["average"] + (factor - 1) * more) * UP
+        rounds = tuple(average.rounded_away(model.outputs, model.resolution) for average in model.averages)
+        wider["average"] = rounding.round_up(widened(bounds["average"], factor, rounds))
     if "disturbance" in bounds:
-        lo, hi = bounds["disturbance"].T
-        more = (factor - 1) / 2 * (hi - lo) * UP
-        wider["disturbance"] = np.stack([lo - more, hi + more], 1)
+        ends = bounds["disturbance"]
+        pairs = [widened_ends(ends[i : i + 2], factor) for i in range(0, len(ends), 2)]
+        lo, hi = zip(*pairs, strict=True)
+        wider["disturbance"] = np.stack([rounding.round_down(lo), rounding.round_up(hi)], 1)
     return wider

@@ -6,7 +6,7 @@ extrapolation.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -68,12 +68,11 @@ class Departure(NamedTuple):
         """The names of `by`, which is -1 where none is meant: that stands first."""
         return ("", *self.region.inputs)
 
-    def words(self) -> list[str]:
-        """Return the words on each of (N,) windows, "" of those inside."""
-        texts = [""] * len(self.share)
-        for i in np.flatnonzero(self.share > 0).tolist():
-            texts[i] = self.region.words(int(self.by[i]), float(self.reading[i]))
-        return texts
+    def words(self, at: int, test: str = "") -> str:
+        """Return the words on one of (N,) windows, "" of one inside. test: see `Region.words`."""
+        if not self.share[at] > 0:
+            return ""
+        return self.region.words(int(self.by[at]), float(self.reading[at]), test)
 
 
 @jax.tree_util.register_static
@@ -83,8 +82,8 @@ class Region:
 
     Fields: inputs, units: of all inputs. lo, hi: (m,) their ends, NaN where none are stated. horizon: windows
     have horizon + 1 samples, of which they read the first `lags` of u. Those of an observer, which rests on
-    all samples before, are of the step that led to the sample. wider: how many times as wide bounds outside
-    are, of several tests at most.
+    all samples before, are of the step that led to the sample. wider: {test: how many times as wide its
+    bounds outside are}; "" for the name of a single one.
     """
 
     inputs: tuple[str, ...]
@@ -93,7 +92,7 @@ class Region:
     hi: np.ndarray
     horizon: int
     lags: int
-    wider: float = 1.0
+    wider: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, relations: Reach) -> "Region | None":
@@ -104,11 +103,11 @@ class Region:
         horizon = relations.horizon
         if relations.remembers:
             horizon = int(model.n > 0)
-        wider = 1.0 if relations.remembers else float(model.extrapolation or 1)
-        for part in getattr(relations, "parts", {}).values():  # of a monitor as far as its longest window
+        tests = getattr(relations, "parts", {}) or {"": relations}
+        wider = {name: _wider(part) for name, part in tests.items()}
+        for part in tests.values():  # of a monitor as far as its longest window
             if not part.remembers:
                 horizon = max(horizon, part.horizon)
-                wider = max(wider, float(part.model.extrapolation or 1))
         return replace(cls.between(model, model.ranges, horizon), wider=wider)
 
     @classmethod
@@ -142,8 +141,11 @@ class Region:
             share[missing], by[missing], reading[missing] = np.nan, -1, np.nan
         return Departure(share, by, reading, self)
 
-    def words(self, by: int, reading: float) -> str:
+    def words(self, by: int, reading: float, test: str = "") -> str:
         """Return an input's sample outside, beside the end of its range.
+
+        Args:
+            test: the name of that which judged, of a monitor; "": of some of its tests.
 
         Example:
             >>> region = Region(("valve",), ("",), np.array([0.0]), np.array([0.39]), 0, 1)
@@ -157,13 +159,21 @@ class Region:
         if lo == hi:
             side = "always at"
         unit = f" {self.units[by]}".rstrip()
-        wider = ""
-        if self.wider > 1:
-            wider = f", where bounds are {self.wider:.3g} times as wide"
         return (
             f"{self.inputs[by]} at {_apart(reading, end)}{unit}, training {side} {_apart(end, reading)}{unit}"
-            f"{wider}"
+            f"{self._wider_words(test)}"
         )
+
+    def _wider_words(self, test: str) -> str:
+        """Return the words on bounds outside, "" where they are as inside."""
+        factors = set(self.wider.values())
+        if test in self.wider:
+            factors = {self.wider[test]}
+        most = max(factors, default=1.0)
+        if most == 1:
+            return ""
+        at_most = "up to " * (len(factors) > 1)
+        return f", where bounds are {at_most}{most:.3g} times as wide"
 
     @cached_property
     def tolerated(self) -> np.ndarray:
@@ -190,6 +200,14 @@ class Region:
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(excess > self.tolerated[j], excess / (self.hi[j] - self.lo[j]), 0.0)
         return share, np.where(below > above, low, high)
+
+
+def _wider(test: Reach) -> float:
+    """Return how many times as wide the bounds of a test are outside; those of an observer stay."""
+    model = test.model
+    if test.remembers or not isinstance(model, LinearSystem):
+        return 1.0
+    return float(model.extrapolation or 1)
 
 
 def _extreme(extreme: np.ufunc, samples: np.ndarray) -> np.ndarray:

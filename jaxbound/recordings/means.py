@@ -195,22 +195,19 @@ def every_of(model: Named) -> str | None:
     return columns.get(EVERY)
 
 
-def with_every(
-    columns: Mapping[str, str] | None, dt: float | None, every: str | None
-) -> tuple[dict[str, str], float | None]:
-    """Return (columns, dt) of samples that are means over an interval; as they are where `every` is None.
+def every_step(columns: Mapping[str, str], dt: float | None) -> float | None:
+    """Return the dt of samples that are means over an interval; of others dt as it is.
 
     Raises:
         ValueError: another dt, or no interval.
     """
-    columns = dict(columns or {})
-    every = every or columns.get(EVERY)
+    every = columns.get(EVERY)
     if every is None:
-        return columns, dt
+        return dt
     seconds = seconds_of(every)
     if dt is not None and abs(dt - seconds) > 1e-9 * seconds:
         raise ValueError(f"every = {every!r} makes dt = {seconds:g} s: leave out dt = {dt:g}")
-    return columns | {EVERY: every}, seconds
+    return seconds
 
 
 def refuse_every(model: Named, what: str) -> None:

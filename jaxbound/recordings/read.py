@@ -16,7 +16,7 @@ from jaxbound.recordings.clockintervals import every_text
 from jaxbound.recordings.csvfiles import CsvFile
 from jaxbound.recordings.expressions import is_expression
 from jaxbound.recordings.live import LiveSource
-from jaxbound.recordings.means import every_of, with_every
+from jaxbound.recordings.means import every_of, every_step
 from jaxbound.recordings.meansource import means_source
 from jaxbound.recordings.otherunits import other_units
 from jaxbound.recordings.parquet import ParquetSource
@@ -204,7 +204,7 @@ def read_signals(
     columns |= {signal[0]: signal[1] for signal in (*inputs, *outputs) if not isinstance(signal, str)}
     if dt is not None and not 0 < dt < np.inf:
         raise ValueError(f"dt must be a positive number of seconds, not {dt:g}")
-    columns, dt = with_every(columns, dt, None)
+    dt = every_step(columns, dt)
     model = Signals(tuple(map(_name_of, inputs)), tuple(map(_name_of, outputs)), columns, dt)
     recordings: list[Recording] = []
     for i, path in enumerate(paths):

@@ -92,6 +92,51 @@ def test_windows_outside_are_judged_as_by_a_model_that_states_the_wider_bounds(k
         np.testing.assert_array_equal(res.violated, np.where(out[..., None], wide.violated, stated.violated))
 
 
+def test_bounds_outside_are_the_smallest_floats_that_hold_the_factor():
+    factor, lo, hi = Fraction(10**6 + 1, 10**6), Fraction(1000), Fraction("1000.3")
+    means = {"y1": {2: 0}, "w1": {2: 2000}}
+    model = plant(factor, noise=0, disturbance=([[1]], [(lo, hi)]), averages=means)
+    relations = jb.parity_relations(model, 3)
+    stated = {"noise": 0.0, "tolerance": 0.1, "disturbance": [[-1.0, 1e9]], "average": [0.3, 1e5]}
+    for moved in (relations, relations.with_bounds(stated)):  # by `tune`, as a user may
+        start = {name: list(map(Fraction, np.ravel(bound).tolist())) for name, bound in moved.bounds.items()}
+        more = {"noise": [ROUNDED], "tolerance": [0], "average": [ROUNDED, 0]}
+        exact = {name: [(factor - 1) * x for x in rounds] for name, rounds in more.items()}
+        for name, added in exact.items():
+            exact[name] = [factor * x + one for x, one in zip(start[name], added, strict=True)]
+        lo, hi = start["disturbance"]
+        beyond = (factor - 1) * (hi - lo) / 2
+        exact["disturbance"] = [beyond - lo, hi + beyond]
+        for name, bound in extrapolated(moved).relations.bounds.items():
+            own = np.ravel(bound * np.array([-1, 1]) if name == "disturbance" else bound)
+            for x, least in zip(own.tolist(), exact[name], strict=True):
+                assert least <= Fraction(x) and Fraction(np.nextafter(x, -np.inf)) < least, name
+
+
+def test_a_tolerance_stays_below_one_outside():
+    relations = jb.parity_relations(plant(Fraction(20), tolerance=Fraction(1, 10)), 3)
+    assert 0.999 < extrapolated(relations).relations.bounds["tolerance"][0] < 1
+
+
+def test_bounds_that_were_tuned_are_as_wide_outside_whoever_asks(rng, tmp_path):
+    u, y = recording(rng)
+    tuned = jb.tune(jb.parity_relations(plant(G, noise=1), 1), (u[:50], y[:50]), steps=0)
+    assert tuned.counts["FAULT"] == 0 and tuned.bounds["noise"] < 0.4
+    jb.save_model(tuned.model, tmp_path / "tuned.toml")
+    kept = jb.parity_relations(jb.load_model(tmp_path / "tuned.toml"))
+    noise = extrapolated(tuned.relations).relations.bounds["noise"]
+    assert noise > 1.4 * tuned.bounds["noise"]
+    stated = jb.detect(jb.parity_relations(tuned.model.replace(extrapolation=None)), u, y)
+    for relations in (tuned.relations, kept):
+        np.testing.assert_array_equal(extrapolated(relations).relations.bounds["noise"], noise)
+        res, live = jb.detect(relations, u, y), jb.Monitor(relations)
+        np.testing.assert_array_equal(live.run(live.init(), u, y)[1].status, res.status)
+        eased = np.flatnonzero((res.outside > 0) & (res.status == 1) & (stated.status == jb.Status.FAULT))
+        assert len(eased) and (res.status == jb.Status.FAULT).any()
+        proof = res.explain(int(eased[0]))
+        assert proof.window.claim["noise"] == [Fraction(noise[0])] and proof.proves == 1
+
+
 def test_numbers_beside_the_verdicts_are_those_of_the_test_that_judged(rng, monkeypatch):
     judge = StripsTest.judge
 
@@ -147,6 +192,20 @@ def test_an_alarm_says_how_wide_bounds_outside_are(rng):
     alarms = jb.detect(jb.parity_relations(plant(G), 3), u, y).alarms()
     said = {alarm.outside_by for alarm in alarms if alarm.outside}
     assert "u1 at -3, training from -1, where bounds are 1.5 times as wide" in said
+
+
+@pytest.mark.parametrize("speaks", ["long", "short"])
+def test_an_alarm_of_a_monitor_names_the_factor_of_the_test_that_speaks(rng, speaks):
+    factors = {"long": 1.2, "short": 2}
+    tests = []
+    for name, horizon in (("long", 3), ("short", 1)):
+        own = {"extrapolation": factors[name], "outputs": [{"name": "y1", "noise": "0.2"}]}
+        tests.append({"name": name, "horizon": horizon, "model": own, "factor": 1 if name == speaks else 9})
+    res = jb.detect(jb.monitor(plant(), tests), *recording(rng))
+    (alarm,) = (alarm for alarm in res.alarms() if alarm.outside)
+    said = f"u1 at -3, training from -1, where bounds are {factors[speaks]:g} times as wide"
+    assert alarm.test == speaks and alarm.outside_by == alarm.diagnose().outside == said
+    assert res.beyond.words == said.replace(f"{factors[speaks]:g}", "up to 2")
 
 
 def test_a_window_outside_that_the_stated_bounds_explain_has_a_certificate_that_is_confirmed(rng):
