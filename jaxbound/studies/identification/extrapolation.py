@@ -2,10 +2,10 @@
 
 A recording that is left out moves its inputs beyond the others. The largest need of its windows there, over
 the largest of those within the ranges of the others, is what extrapolation costs on that day; bounds of 1
-hold whatever the days ask for. Of several days the geometric mean counts, as of the factor on all bounds: a
-day that is unlike the others is so inside, too. Few days say little of it: what two of them told of a third
-was 1.0 where it needed 1.5 (an air handler), or six (a plant that is not linear), and how far out a window
-lies told nothing of what it needs.
+hold whatever the days ask for, and what bounds grow the farther outside a window lies is taken off before. Of
+several days the geometric mean counts, as of the factor on all bounds: a day that is unlike the others is so
+inside, too. Few days say little of it: what two of them told of a third was 1.0 where it needed 1.5 (an air
+handler), or six (a plant that is not linear).
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxbound.models.region import Region
+from jaxbound.models.region import GRADES, Region
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trial import Trial, few_days
@@ -53,6 +53,7 @@ def extrapolation(trial: Trial, training: Training) -> Extrapolation | None:
         trial: of windows. An observer rests on all samples before, which lie on both sides.
     """
     logs, windows, records = [], 0, training.records
+    growth = 1 + np.array(GRADES, float)  # how much wider bounds are the farther outside, whatever is found
     if len(trial.left) != len(records):
         return None
     for number, (one, (u, _, _)) in enumerate(zip(trial.left, records, strict=True)):
@@ -63,9 +64,10 @@ def extrapolation(trial: Trial, training: Training) -> Extrapolation | None:
         others = dataclasses.replace(training, records=[*records[:number], *records[number + 1 :]])
         region = Region.between(model, others.ranges, model.horizon)
         known = np.isfinite(one.need)
-        out = region.departure(u, ~known).share > 0
+        grade = region.departure(u, ~known).grade
+        out = grade >= 0
         if out.any() and (known & ~out).any():
-            inside, outside = one.need[known & ~out].max(), one.need[out].max()
+            inside, outside = one.need[known & ~out].max(), (one.need[out] / growth[grade[out]]).max()
             logs.append(math.log(max(outside, 1.0) / max(inside, 1.0)))
             windows += int(out.sum())
     few = few_days(len(records), FEW_DAYS_OUTSIDE)
