@@ -38,8 +38,9 @@ class Extrapolated:
 
 def extrapolated(relations: Relations) -> Extrapolated | None:
     """Return relations as they are outside of training; None: bounds there are as they are inside."""
-    model = getattr(relations, "model", None)  # kinds of proofs know relations of others
-    if not isinstance(model, LinearSystem) or not factors_outside(model) or relations.remembers:
+    # kinds of proofs know relations of others, and a stretch of an observer
+    model, remembers = getattr(relations, "model", None), getattr(relations, "remembers", True)
+    if not isinstance(model, LinearSystem) or not factors_outside(model) or remembers:
         return None
     region = Region.of(relations)
     if region is None:

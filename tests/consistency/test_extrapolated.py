@@ -182,6 +182,8 @@ def test_an_observer_keeps_the_bounds_that_are_stated(rng):
     res, stated = (jb.detect(jb.observer(plant(factor)), u, y) for factor in (G, None))
     np.testing.assert_array_equal(res.status, stated.status)
     assert (res.outside > 0).any() and extrapolated(jb.observer(plant(G))) is None
+    proof = res.explain(int(np.flatnonzero((res.status == jb.Status.FAULT) & (res.outside > 0))[0]))
+    assert proof.proves == jb.Status.FAULT
 
 
 def test_a_certificate_outside_proves_the_verdict(rng):

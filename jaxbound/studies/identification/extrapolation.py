@@ -39,7 +39,7 @@ class Extrapolation(NamedTuple):
         """The words of its provenance."""
         few = f"times {self.few:.3g} for so few recordings"
         if not self.recordings:
-            return f"assumed: {few}, of which none, left out, reaches beyond the others"
+            return f"assumed: {few}: none, left out, reaches beyond the others"
         many = f"{self.windows} windows of {self.recordings} recording{'s' * (self.recordings > 1)}"
         told = f"needs of {many} outside the ranges of the others, over those inside"
         return f"fitted: {told}, {few}"
@@ -54,9 +54,12 @@ def extrapolation(trial: Trial, training: Training) -> Extrapolation | None:
     """
     logs, windows, records = [], 0, training.records
     growth = 1 + np.array(GRADES, float)  # how much wider bounds are the farther outside, whatever is found
-    if len(trial.left) != len(records):
+    if not trial.left:
         return None
-    for number, (one, (u, _, _)) in enumerate(zip(trial.left, records, strict=True)):
+    left = trial.left
+    if len(left) != len(records):  # blocks of one recording, which say nothing of another day
+        left = ()
+    for number, (one, (u, _, _)) in enumerate(zip(left, records, strict=False)):
         if one.model is None:
             continue
         model = LinearSystem(**one.model, noise=trial.bound.tolist())

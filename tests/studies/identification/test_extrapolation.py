@@ -42,7 +42,8 @@ def test_recordings_that_reach_nowhere_alone_tell_nothing_and_few_of_them_ask_fo
     assert 1.5 <= fitted.extrapolation < 1.51
     assert fitted.provenance["extrapolation"].startswith("assumed: times 1.5 for so few recordings")
     alone = jb.fit([two[0]], **RECIPE)
-    assert alone.extrapolation is None, "what its blocks say is not of another day"
+    assert alone.extrapolation == FEW_DAYS_OUTSIDE, "what its blocks say is not of another day"
+    assert jb.fit([two[0]], held_out=0, **RECIPE).extrapolation is None, "nothing asks for wider bounds"
 
 
 def test_the_factor_is_the_need_outside_over_that_inside(rng):
@@ -66,8 +67,8 @@ def test_the_factor_is_the_need_outside_over_that_inside(rng):
 
 def test_a_test_without_a_factor_does_not_take_that_of_the_model(rng):
     base = jb.fit(days(rng, 1.0), **RECIPE)
-    other = jb.fit(days(rng, 1.0)[:1], **RECIPE)
-    assert base.extrapolation > 1 and other.extrapolation is None
+    other = jb.fit(days(rng, 1.0)[:1], held_out=0, **RECIPE)
+    assert base.extrapolation > 1
     own = as_fitted(base, other.replace(left_out=base.left_out, ranges=base.ranges), "other")
     model = jb.monitor(base.replace(tests=[own])).watches[0].relations.model
     assert model.extrapolation == 1
