@@ -376,7 +376,8 @@ class PipeText(Stream):
         import pyarrow as pa
 
         if self._known_reader.is_text:
-            time, _, _ = parse_stamps(pa.array([*self.texts, cell]), self.dt, str, self._format)
+            cells = pa.array([*self.texts, cell])
+            time, _, _ = parse_stamps(cells, self.dt, str, self._format, self.clock.last)
             return float(time[-1] - time[-2])
         assert self.numbers is not None, "there was a row of data"
         number = since_epoch(np.array([float(cell.replace(",", "."))]))
@@ -653,10 +654,12 @@ class PipeText(Stream):
         if cells.null_count:
             raise ValueError("has no time")
         every = pa.concat_arrays([pa.array(before, pa.string()), cells])
-        period = None
+        period = last = None
         if self.regular:
             period = self.dt
-        time, stamps, hint = parse_stamps(every, period, lambda k: "", self._format)
+        if before:
+            last = self.clock.last
+        time, stamps, hint = parse_stamps(every, period, "".format, self._format, last)
         if not before:
             if hint and not self.hinted:
                 self.complain("hint", hint)

@@ -57,7 +57,11 @@ EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 
 
 def parse_stamps(
-    cells: "pa.Array", dt: float | None, where: Callable[[int], str], how: RecordingFormat = UNSTATED
+    cells: "pa.Array",
+    dt: float | None,
+    where: Callable[[int], str],
+    how: RecordingFormat = UNSTATED,
+    second: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray | None, str]:
     """Return (time, stamps, hint) of text cells.
 
@@ -65,6 +69,7 @@ def parse_stamps(
         cells: pyarrow array of strings without nulls. dt: of the model; decides between day/month and
             month/day; None: the median step.
         where: called with an index, returns "row 7" of the file. how: states their format, or their zone.
+        second: of a stream, the time of the second cell, which is its last one before; see `localized`.
 
     Returns:
         time: seconds since the first sample; stamps: datetime64[ns], in UTC where a zone is known, None for a
@@ -79,12 +84,12 @@ def parse_stamps(
             return _since_first(iso), None, f"{FAR}: times count from the first row"
         if iso is not None:
             if how.zone and not _has_zone(cells):
-                iso = _in_zone(iso, how.zone, where)
+                iso = _in_zone(iso, how.zone, second)
             return _since_first(iso), iso, ""
         spans = elapsed(cells)
         if spans is not None:
             return _since_first(spans), None, f"times like {cells[0].as_py()!r} are read as elapsed"
-    read = _readings(cells, where, how)
+    read = _readings(cells, where, how, second)
     seams = [uneven_steps(_since_first(stamps), dt) for _, stamps in read]
     # 3/4/2017 is a day in March or in April: time runs evenly in one of the two orders only
     smoothest = [one for one, count in zip(read, seams, strict=True) if count == min(seams)]
@@ -111,7 +116,7 @@ def parse_stamps(
 
 
 def _readings(
-    cells: "pa.Array", where: Callable[[int], str], how: RecordingFormat
+    cells: "pa.Array", where: Callable[[int], str], how: RecordingFormat, second: float | None
 ) -> list[tuple[str, np.ndarray]]:
     """Return (format, stamps) of each format that all cells have; refuse cells without any."""
     zones, date = None, how.time_format
@@ -129,11 +134,11 @@ def _readings(
                 raise refused from None
     try:
         if zones is not None:
-            read = [(form, zoned(stamps, zones)) for form, stamps in read]
+            read = [(form, zoned(stamps, zones, second)) for form, stamps in read]
     except ValueError as e:
         raise ValueError(f"of time stamps like {cells[0].as_py()!r} {e}") from None
     if how.zone and (zones is None or zones[0].as_py() == "") and not re.search("%[zZs]", read[0][0]):
-        read = [(form, _in_zone(stamps, how.zone, where)) for form, stamps in read]
+        read = [(form, _in_zone(stamps, how.zone, second)) for form, stamps in read]
     return read
 
 
@@ -152,10 +157,10 @@ def _as_stated(cells: "pa.Array", form: str, where: Callable[[int], str]) -> np.
     return in_ns(stamps.to_numpy(), where)
 
 
-def _in_zone(stamps: np.ndarray, zone: str, where: Callable[[int], str]) -> np.ndarray:
+def _in_zone(stamps: np.ndarray, zone: str, second: float | None) -> np.ndarray:
     """Return times of the clock of a zone in UTC."""
     try:
-        return localized(stamps, zone)
+        return localized(stamps, zone, second)
     except ValueError as e:
         raise ValueError(f"the time column: {e}") from None
 

@@ -365,6 +365,25 @@ def test_clocks_of_a_zone_have_the_hours_of_that_zone(tmp_path):
         assert np.diff(live.time).tolist() == [3600] * 5
 
 
+@pytest.mark.parametrize("zone", ["Europe/Berlin", "Australia/Lord_Howe"])
+def test_a_stream_knows_the_hour_that_comes_twice(zone):
+    begin = {"Europe/Berlin": "2026-10-24 23:20Z", "Australia/Lord_Howe": "2026-04-04 13:50Z"}[zone]
+    stamps = pd.date_range(begin, periods=14, freq="10min").tz_convert(zone).tz_localize(None)
+    assert not stamps.is_unique
+    by_field = THREE.replace(dt=600, columns=with_format({}, {"zone": zone}))
+    for model, name in ((by_field, ""), (THREE.replace(dt=600), f" {zone}")):
+        text = "".join(f"{t:%Y-%m-%d %H:%M}{name},1,{k}\n" for k, t in enumerate(stamps))
+        lines = f"time,heater,temp\n{text}".splitlines(keepends=True)
+        pipe = PipeText(model, print)
+        times = []
+        for line in lines:
+            piece = pipe.take(line.encode())
+            pipe = PipeText(model, print, pipe.memory()) if piece else pipe  # another process goes on
+            times += [] if piece is None else piece.time.tolist()
+        assert times == [600.0 * k for k in range(14)]
+        assert from_pipe("".join(lines).encode(), model, [200, 300])[0].time.tolist() == times
+
+
 def test_named_zones_follow_each_other_when_the_clock_goes_forward(tmp_path):
     stamps = [
         "2026-03-29 01:58 CET",
