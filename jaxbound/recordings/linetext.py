@@ -383,8 +383,8 @@ class LineReader:
                 continue
             shows = number is not None and name not in self.notations and best_sign in cell
             if shows and self.signs.setdefault(name, best_sign) != best_sign:
-                best[name] = None  # 1.002 and 998,5: one of them may have a sign for thousands
-            elif number is None or name in self.notations:
+                number = None  # 1.002 and 998,5: one of them may have a sign for thousands
+            if number is None or name in self.notations:
                 best[name] = self._noted_number(name, cell)
             else:
                 self.plain.add(name)
@@ -421,9 +421,28 @@ class LineReader:
             self.unsigned.add(name)
             if shown.shows_signs(cell):
                 self.unsigned.remove(name)
+        elif notation is None:
+            notation = self._grouped(name, cell)
         if notation is None:
             return None
         return notation.number(cell)
+
+    def _grouped(self, name: str, cell: str) -> Notation | None:
+        """Return the notation with signs for thousands that a cell shows first, behind usual numbers that
+        have shown their decimal sign, or where that is stated; None where it shows none.
+        """
+        import pyarrow as pa
+
+        sign, how = self.signs.get(name), self.layout.how
+        if sign is None and (how.decimal or how.thousands):
+            sign = self.layout.decimals[0]
+        if sign is None:
+            return None
+        shown = notation_of(pa.array([cell]), (sign,), replace(how, decimal=sign))
+        if shown is None or shown.unit or not shown.thousands:
+            return None
+        self.notations[name] = shown
+        return shown
 
     def _table(self, opened: Opened, decimal: str | None) -> "dict[str, pa.Array] | None":
         """Return the wanted columns; None where some row or cell cannot be read. decimal: of numbers; None:
