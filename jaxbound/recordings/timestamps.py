@@ -4,7 +4,7 @@ reader.
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING
 
@@ -36,6 +36,8 @@ DATES = (
     "%m/%d/%y",
     "%d/%m/%y",
     "%d.%m.%y",
+    "%y/%m/%d",
+    "%y.%m.%d",
     "%Y%m%d",
 )
 CLOCKS = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p", "%H%M%S")
@@ -108,11 +110,31 @@ def parse_stamps(
         if smoothest[-1][0] == MINUTES and not how.time_format:
             hint = f"{hint}; they are read as hours and minutes: write 0:08:30 for minutes and seconds"
         return _since_first(stamps) + _rounds(stamps, 86400.0), None, hint
-    hint = ""
-    if len(smoothest) > 1 and stamps[0] != smoothest[1][1][0]:
-        other = _order_in_words(smoothest[1][0])
-        hint = f"{like} are read as {_order_in_words(form)}; they could also be {other}"
-    return _since_first(stamps), stamps, hint
+    return _in_order(smoothest, dt, like)
+
+
+def _in_order(
+    read: Sequence[tuple[str, np.ndarray]], dt: float | None, like: str
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Return (time, stamps, hint) by the format, of some that differ in the order of day, month and year,
+    that makes the most equal steps.
+
+    Raises:
+        ValueError: several do, and their steps differ.
+    """
+    # days are equally long, months and years are not
+    spreads = [_spread(_since_first(stamps), dt) for _, stamps in read]
+    evenest = [one for one, spread in zip(read, spreads, strict=True) if spread <= 2 * min(spreads) + 1e-6]
+    form, stamps = evenest[0]
+    time, others = _since_first(stamps), [other for other, x in read if (x != stamps).any()]
+    if not others:
+        return time, stamps, ""
+    order, rest = _order_in_words(form), " or ".join(map(_order_in_words, others))
+    which = f"say which by time_format, like {_date_of(others[0])!r}{STATING}"
+    steps = {round(_usual(_since_first(x)), 6) for _, x in evenest}
+    if dt is None and len(time) > 1 and len(steps) > 1:
+        raise ValueError(f"{like} may be {order} or {rest}: {which}")
+    return time, stamps, f"{like} are read as {order}; they could also be {rest}: {which}"
 
 
 def _readings(
@@ -200,16 +222,16 @@ def _in_formats(
 
 
 def order_of(cells: "pa.Array", stamps: np.ndarray) -> str:
-    """Return the format of the dates of texts in which day and month could change places, "" of others.
+    """Return the format of the dates of texts in which day, month and year could change places, "" of others.
 
     Args:
         cells: (N,) texts. stamps: (N,) as they were read.
     """
     dates = []
     for form in FORMATS:
-        date = form.split("T%")[0].split(" %H")[0].split(" %I")[0]
+        date = _date_of(form)
         swapped = date.replace("%d", "%_").replace("%m", "%d").replace("%_", "%m")
-        if date == swapped or swapped not in DATES:
+        if date == swapped or (swapped not in DATES and not date.startswith("%y")):
             continue
         if _is_read_as(cells[0], form, stamps[0]) and _is_read_as(cells[-1], form, stamps[-1]):
             dates.append(date)
@@ -256,7 +278,9 @@ def instant_of(time: object) -> float:
     if stamps is None:
         raise ValueError(f"{text!r} has no date: write it as well, like 2017-09-12 08:00:00")
     if hint:
-        raise ValueError(f"{hint}: write the year first, like 2017-09-12 08:00:00")
+        raise ValueError(
+            f"{text!r} may be read in several ways: write the year first, like 2017-09-12 08:00:00"
+        )
     return round(float((stamps[0] - EPOCH) / SECOND), 6)
 
 
@@ -463,8 +487,27 @@ def uneven_steps(time: np.ndarray, dt: float | None) -> int:
     steps = np.diff(time)
     if not len(steps):
         return 0
-    usual = float(np.median(steps)) if dt is None else dt
+    usual = _usual(time) if dt is None else dt
     return int((np.abs(steps - usual) > TOLERATED_STEP * abs(usual)).sum())
+
+
+def _usual(time: np.ndarray) -> float:
+    """Return the usual step of times in s, NaN where there is none."""
+    if len(time) < 2:
+        return math.nan
+    return float(np.median(np.diff(time)))
+
+
+def _spread(time: np.ndarray, dt: float | None) -> float:
+    """Return by what share steps of times in s differ on the average from dt, by default the usual one; gaps
+    do not count.
+    """
+    usual = _usual(time) if dt is None else dt
+    shares = np.abs(np.diff(time) / (usual or math.nan) - 1)
+    shares = shares[shares <= TOLERATED_STEP]
+    if not len(shares):
+        return 0.0
+    return float(shares.mean())
 
 
 def _since_first(stamps: np.ndarray) -> np.ndarray:
@@ -480,7 +523,13 @@ def _rounds(stamps: np.ndarray, length: float) -> np.ndarray:
     return length * np.concatenate([[0], np.cumsum(back)])
 
 
+def _date_of(form: str) -> str:
+    """Return the date of a format."""
+    return re.split("[ T]%[HIM]", form)[0]
+
+
 def _order_in_words(form: str) -> str:
+    date = _date_of(form)
     for code, word in {"%Y": "year", "%y": "year", "%m": "month", "%d": "day", "%b": "month"}.items():
-        form = form.replace(code, word)
-    return form.split(" %")[0].split("T%")[0]
+        date = date.replace(code, word)
+    return date

@@ -13,8 +13,10 @@ import jaxbound as jb
 from jaxbound.certificates.checker.files import read_model
 from jaxbound.models.modelfile import model_text
 from jaxbound.recordings.pipetext import PipeText
+from jaxbound.recordings.read import read_signals
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import format_of, with_format
+from jaxbound.recordings.timestamps import instant_of
 
 COUNT, DT = 40, 60
 BEGIN = datetime.datetime(2026, 3, 13)
@@ -414,6 +416,57 @@ def test_fit_keeps_the_order_of_day_and_month_for_a_day_that_does_not_show_it(tm
     (tmp_path / "day.csv").write_text(path.read_text()[:17] + "02/03/2026 10:00,1,1\n02/03/2026 19:00,1,1\n")
     assert str(jb.read(tmp_path / "day.csv", ordered).stamps[0]).startswith("2026-03-02")
     assert str(jb.read(tmp_path / "day.csv", plain).stamps[0]).startswith("2026-02-03")
+
+
+DAY = datetime.timedelta(days=1)
+ORDERS = {  # (format, begin, step, dt that is stated, the order that is taken, whether a sentence asks)
+    "year first, one day": ("%y/%m/%d %H:%M", "2024-03-04", DAY / 1440, 60, "2004-03-24", True),
+    "year first, past midnight": ("%y/%m/%d %H:%M", "2024-03-04", DAY / 12, 7200, "2024-03-04", False),
+    "year first, points": ("%y.%m.%d %H:%M", "2024-03-04", DAY / 12, None, "2024-03-04", False),
+    "year first, days": ("%y/%m/%d %H:%M", "2024-03-04", DAY, None, "2024-03-04", True),
+    "days": ("%d/%m/%y %H:%M", "2024-03-02", DAY, None, "2024-03-02", True),
+    "days, month first": ("%m/%d/%y %H:%M", "2024-03-02", DAY, None, "2024-03-02", True),
+    "three orders": ("%y/%m/%d %H:%M", "2010-11-12", DAY / 1440, 60, "2012-10-11", True),
+    "month first, a gap": ("%m/%d/%y %H:%M", "2024-03-02", DAY / 1440, None, "2024-03-02", True),
+    "month first in one day": ("%d/%m/%Y %H:%M", "2024-03-04", DAY / 1440, 60, "2024-04-03", True),
+}
+
+
+@pytest.mark.parametrize("case", ORDERS)
+def test_the_order_of_a_date_is_what_makes_equal_steps_or_a_sentence_asks(tmp_path, case):
+    form, begin, step, dt, first, asks = ORDERS[case]
+    stamps = [datetime.datetime.fromisoformat(f"{begin} 08:00") + k * step for k in range(9)]
+    if "gap" in case:
+        del stamps[5:7]
+    path = tmp_path / "run.csv"
+    path.write_text("time,heater,temp\n" + "".join(f"{t:{form}},1,{k}\n" for k, t in enumerate(stamps)))
+    (run,) = read_signals(path, ["heater"], ["temp"], dt=dt)
+    assert str(run.stamps[0])[:10] == first and run.dt == step.total_seconds()
+    said = [hint for hint in run.hints if "could also be" in hint and "say which by time_format" in hint]
+    assert len(said) == asks
+    taken = run.taken.time_format
+    assert taken and taken in form or asks
+    if case == "three orders":
+        assert "read as month/day/year; they could also be day/month/year or year/month/day: " in said[0]
+        assert "time_format, like '%d/%m/%y'" in said[0]
+    live, _ = from_pipe(path.read_bytes(), THREE.replace(dt=step.total_seconds()), [40, 90])
+    assert np.diff(live.time).tolist() == np.diff(run.time).tolist()
+    for order in ("%d/%m/%y", "%y/%m/%d"):
+        if "days" not in case and form.startswith(order):
+            (run,) = read_signals(
+                path, ["heater"], ["temp"], {"[recording]": f'{{"time_format": "{order}"}}'}
+            )
+            assert str(run.stamps[0])[:10] == begin
+
+
+def test_an_order_of_dates_that_nothing_shows_is_asked_for_where_it_sets_the_step(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("time,heater,temp\n01/02/24 08:00,1,1\n02/02/24 08:00,1,2\n")
+    with pytest.raises(ValueError, match="may be .*: say which by time_format, like '%d/%m/%y' .--recording"):
+        read_signals(path, ["heater"], ["temp"])
+    assert jb.read(path, THREE.replace(dt=86400)).dt == 86400
+    with pytest.raises(ValueError, match="write the year first"):
+        instant_of("24/03/04 08:00")
 
 
 def test_a_stream_below_many_lines_goes_on_without_losing_any(tmp_path):
