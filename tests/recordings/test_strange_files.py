@@ -469,6 +469,33 @@ def test_an_order_of_dates_that_nothing_shows_is_asked_for_where_it_sets_the_ste
         instant_of("24/03/04 08:00")
 
 
+@pytest.mark.parametrize(
+    "form", ["%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M", "%m/%d/%Y %H:%M", "%d.%m.%Y %I:%M %p"]
+)
+def test_a_date_without_a_clock_is_midnight_where_it_follows_the_row_before(tmp_path, form):
+    """Spreadsheets write midnight so, and footers the day on which they were written."""
+    path, date = tmp_path / "run.csv", form.split()[0]
+    stamps = [datetime.datetime(2026, 3, 13, 23, 57) + datetime.timedelta(minutes=k) for k in range(9)]
+    cells = [f"{t:{date}}" if (t.hour, t.minute) == (0, 0) else f"{t:{form}}" for t in stamps]
+    lines = ["time;heater;temp", *(f"{cell};1;{k}" for k, cell in enumerate(cells))]
+    path.write_text("\n".join([*lines, ""]))
+    run = jb.read(path, THREE)
+    assert run.time.tolist() == [60.0 * k for k in range(9)] and not [h for h in run.hints if "clock" in h]
+    footers = [*lines[:3], f"{stamps[-1]:{date}};7;7", *lines[3:], *[f"{stamps[0]:{date}};8;8"] * 2]
+    path.write_text("\n".join([*footers, ""]))
+    again = jb.read(path, THREE)
+    assert again.y[:, 0].tolist() == list(range(9)) and again.time.tolist() == run.time.tolist()
+    left = "3 rows have a date without a clock, the first is row 4: left out"
+    assert [hint for hint in again.hints if "clock" in hint] == [left]
+    for cuts in ([], range(30, len(path.read_bytes()), 25)):
+        live, said = from_pipe(path.read_bytes(), THREE, cuts)
+        assert live.time.tolist() == run.time.tolist() and live.y.tolist() == run.y.tolist()
+        assert said == [f"line {n} has a date without a clock: left out" for n in (4, 12, 13)]
+    days = [f"{t:{date}};1;{k}" for k, t in enumerate([stamps[0] + k * DAY for k in range(9)])]
+    path.write_text("\n".join([lines[0], *days, ""]))
+    assert jb.read(path, THREE.replace(dt=86400)).samples == 9  # no row has a clock
+
+
 def test_a_stream_below_many_lines_goes_on_without_losing_any(tmp_path):
     lines = [
         "Logger 7",
