@@ -6,6 +6,7 @@ spans it. What has been taken is remembered in a few numbers and lines, so that 
 behind it, whether the sender begins again or not.
 """
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -28,7 +29,7 @@ from jaxbound.recordings.selection import Moments
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, digests_of
 from jaxbound.recordings.thousands import Doubt
-from jaxbound.recordings.timestamps import parse_stamps, since_epoch
+from jaxbound.recordings.timestamps import NO_CLOCK, parse_stamps, since_epoch, without_clock
 
 SOURCE = "standard input"
 LONGEST = 1 << 20  # bytes of a line
@@ -479,9 +480,14 @@ class PipeText(Stream):
         lines = [line for _, line in rows]
         again = np.array(lines, object) == np.array([self.line, *lines[:-1]], object)
         if plan.time is not None and again.any() and self.dt < SUMMER:
-            return self._once(rows, again)
+            return self._others(rows, again, "repeats the line before")
         if cells.times is not None:
             times = self._text_times(cells.times)
+            alone = self._without_clock(cells.times, times[0])
+            if self.replaying:
+                alone &= ~self.taken.knows(digests)
+            if alone.any():
+                return self._others(rows, alone, of_one(NO_CLOCK))
         elif plan.time is not None:
             times = self._number_times(cells.columns[plan.time])
         else:  # rows are dt apart
@@ -504,13 +510,23 @@ class PipeText(Stream):
         self.line = rows[-1][1]
         return self._seamed(piece, rows)
 
-    def _once(self, rows: list[Line], again: np.ndarray) -> Recording:
-        """Return the samples of lines without those that say again what the line before says."""
+    def _without_clock(self, cells: Arrow, time: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: which of these rows have a date without a clock, see `without_clock`."""
+        import pyarrow as pa
+
+        step, before = self.dt, self.texts
+        if not self.regular:
+            step = self.clock.last / max(self.clock.samples - 1, 1) or math.inf
+        every = pa.concat_arrays([pa.array(before, pa.string()), cells])
+        return without_clock(every, np.append([0, self.clock.last][: len(before)], time), step)[len(before) :]
+
+    def _others(self, rows: list[Line], gone: np.ndarray, reason: str) -> Recording:
+        """Return the samples of lines without those that are none."""
         left: list[Line] = []
-        for row, is_again in zip(rows, again.tolist(), strict=True):
-            if is_again:
+        for row, is_gone in zip(rows, gone.tolist(), strict=True):
+            if is_gone:
                 self.no_rows += 1
-                self.complain("line", f"line {row[0]} repeats the line before: left out")
+                self.complain("line", f"line {row[0]} {reason}: left out")
             else:
                 left.append(row)
         if left:

@@ -50,6 +50,7 @@ LONGEST = 64  # letters of a time stamp
 DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
 COMPACT = {14: "%Y%m%d%H%M%S", 12: "%Y%m%d%H%M"}  # by their digits
 YEARS = 1678, 2261  # that a count of ns since 1970 holds
+NO_CLOCK = "have a date without a clock"
 FAR = f"only the years {YEARS[0]} to {YEARS[1]} can be told"
 CENTURIES = 1970, 2200  # years that a number of so many digits may begin with
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
@@ -205,7 +206,8 @@ def _in_formats(
     for form in FORMATS:
         # a fraction is one of a second: none of 08:30.5 is an hour
         if form.startswith(date) and _has_format(first, form) and (not tidy.fine or "%S" in form):
-            read.append((form, _stamps_in(tidy.texts, tidy.more, form, where)))
+            stamps = _stamps_in(tidy.texts, tidy.more, form, where)
+            read.append((form, _with_midnights(stamps, cells, form, where)))
     if not read:
         raise ValueError(
             f"{where(0)} of the time column is {cells[0].as_py()!r}: neither seconds nor a known time stamp "
@@ -219,6 +221,50 @@ def _in_formats(
             f"{where(bad)} of the time column is {odd!r}: not a time stamp like the first, {usual!r}"
         )
     return complete
+
+
+def _with_midnights(
+    stamps: np.ndarray, cells: "pa.Array", form: str, where: Callable[[int], str]
+) -> np.ndarray:
+    """Return stamps (N,) with the beginning of the day where a cell holds none but a date."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    unread = np.flatnonzero(np.isnat(stamps))
+    if len(unread):
+        texts = pc.utf8_trim_whitespace(cells.take(pa.array(unread)))
+        days = pc.if_else(pc.match_substring(texts, ":"), "", texts)  # others are not read twice
+        stamps[unread] = _stamps_in(days, None, _date_of(form), where)
+    return stamps
+
+
+def without_clock(cells: "pa.Array", time: np.ndarray, usual: float) -> np.ndarray:
+    """Return (N,) bool: which rows have a date alone where most have a clock, and do not follow the row
+    before: spreadsheets write midnight so, but what stands below the samples may have a date, too.
+
+    Args:
+        cells: (N,) texts. time: (N,) s. usual: step in s.
+    """
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    alone = np.zeros(len(cells), bool)
+    lengths = np.asarray(pc.binary_length(cells))
+    longest = int(np.argmax(lengths))
+    short = np.flatnonzero(lengths <= lengths[longest] - len(" 0:00"))
+    if not len(short) or ":" not in cells[longest].as_py():
+        return alone
+    has_none = np.asarray(pc.invert(pc.match_substring(cells.take(pa.array(short)), ":")))
+    dates = short[has_none & (short > 0)]
+    if 2 * len(dates) > len(cells):
+        return alone
+    alone[dates] = True
+    before = 0
+    for k in dates.tolist():
+        if not alone[k - 1]:
+            before = k - 1
+        alone[k] = not 0 < time[k] - time[before] <= (1 + TOLERATED_STEP) * usual
+    return alone
 
 
 def order_of(cells: "pa.Array", stamps: np.ndarray) -> str:

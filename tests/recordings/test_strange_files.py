@@ -16,6 +16,7 @@ from jaxbound.recordings.pipetext import PipeText
 from jaxbound.recordings.read import read_signals
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import format_of, with_format
+from jaxbound.recordings.stream import Taken
 from jaxbound.recordings.timestamps import instant_of
 
 COUNT, DT = 40, 60
@@ -481,7 +482,12 @@ def test_a_date_without_a_clock_is_midnight_where_it_follows_the_row_before(tmp_
     path.write_text("\n".join([*lines, ""]))
     run = jb.read(path, THREE)
     assert run.time.tolist() == [60.0 * k for k in range(9)] and not [h for h in run.hints if "clock" in h]
-    footers = [*lines[:3], f"{stamps[-1]:{date}};7;7", *lines[3:], *[f"{stamps[0]:{date}};8;8"] * 2]
+    footers = [
+        *lines[:3],
+        f"{stamps[-1]:{date}};7;7",
+        *lines[3:],
+        *(f"{stamps[0]:{date}};8;{k}" for k in "89"),
+    ]
     path.write_text("\n".join([*footers, ""]))
     again = jb.read(path, THREE)
     assert again.y[:, 0].tolist() == list(range(9)) and again.time.tolist() == run.time.tolist()
@@ -491,6 +497,14 @@ def test_a_date_without_a_clock_is_midnight_where_it_follows_the_row_before(tmp_
         live, said = from_pipe(path.read_bytes(), THREE, cuts)
         assert live.time.tolist() == run.time.tolist() and live.y.tolist() == run.y.tolist()
         assert said == [f"line {n} has a date without a clock: left out" for n in (4, 12, 13)]
+    said, pipe = [], PipeText(THREE, print, taken=Taken(bytes))
+    pipe.take(path.read_bytes())
+    kept = Taken(lambda: bytes(pipe.taken.fresh))
+    sender = PipeText(THREE, lambda kind, sentence: said.append(sentence), pipe.memory(), kept)
+    more = f"{stamps[-1] + datetime.timedelta(minutes=1):{form}};1;9\n"  # it begins again
+    pieces = [sender.take(line.encode()) for line in [*path.read_text().splitlines(keepends=True), more]]
+    assert [piece.y.tolist() for piece in pieces if piece is not None] == [[[9]]]
+    assert said[-1] == "9 lines were judged before and are skipped"
     days = [f"{t:{date}};1;{k}" for k, t in enumerate([stamps[0] + k * DAY for k in range(9)])]
     path.write_text("\n".join([lines[0], *days, ""]))
     assert jb.read(path, THREE.replace(dt=86400)).samples == 9  # no row has a clock
