@@ -19,7 +19,7 @@ from jaxbound.recordings.csvtext import (
     ENOUGH,
     FURTHER,
     MISSING_CELLS,
-    WIDE,
+    READ_AS,
     Head,
     Layout,
     above_header,
@@ -27,6 +27,7 @@ from jaxbound.recordings.csvtext import (
     head_of,
     is_value,
     layout_of,
+    wide_encoding,
 )
 from jaxbound.recordings.hold import DEADBAND, grid_of, held
 from jaxbound.recordings.linetext import Cells, LineReader, Opened, reader_of, refuse_infinite
@@ -135,15 +136,12 @@ def _opened(path: Path, how: RecordingFormat) -> tuple[Opened, Head]:
     UTF-8.
     """
     with open(path, "rb") as file:
-        first = file.read(4)
-    encoding = how.encoding
-    if first.startswith(WIDE):
-        encoding = "utf-16"
-    if encoding.startswith(("utf-16", "utf-32")):
+        encoding = wide_encoding(file.read(2), how)
+    if encoding:
         data = path.read_bytes().decode(encoding, "replace").removeprefix("\ufeff").encode()
         head = head_of(path, data[:ENOUGH])
-        return partial(BytesIO, data), head._replace(hints=(f"the file is read as {encoding.upper()}",))
-    return partial(FileIO, path), head_of(path, None, encoding)
+        return partial(BytesIO, data), head._replace(hints=(READ_AS.format(encoding.upper()),))
+    return partial(FileIO, path), head_of(path, None, how.encoding)
 
 
 def _wide(path: Path, model: SignalModel, how: RecordingFormat) -> tuple[Opened, Head, RecordingFormat]:

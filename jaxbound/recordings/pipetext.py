@@ -6,6 +6,7 @@ spans it. What has been taken is remembered in a few numbers and lines, so that 
 behind it, whether the sender begins again or not.
 """
 
+import codecs
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -19,7 +20,18 @@ import numpy as np
 from jaxbound.recordings.columns import Arrow, to_arrow
 from jaxbound.recordings.counting import Counting, Numbers, numbers_of
 from jaxbound.recordings.csvlines import BOM, split_lines
-from jaxbound.recordings.csvtext import BLANK, FURTHER, MISSING_CELLS, UNENDED, head_of, is_number, is_value
+from jaxbound.recordings.csvtext import (
+    BLANK,
+    FURTHER,
+    MISSING_CELLS,
+    READ_AS,
+    UNENDED,
+    WIDE,
+    head_of,
+    is_number,
+    is_value,
+    wide_encoding,
+)
 from jaxbound.recordings.linetext import Cells, LineReader, of_one, reader_of, refuse_infinite
 from jaxbound.recordings.oddcells import thousands
 from jaxbound.recordings.recording import Recording, Samples, Times
@@ -65,6 +77,9 @@ class PipeText(Stream):
     ) -> None:
         super().__init__(model, complain, taken)
         format_of(model).refuse_in("a pipe", "hold", "equal", "long")
+        self.undecided: bytes | None = b""  # the first bytes, as long as they do not show the encoding
+        self.wide = ""  # the encoding of text with several bytes a letter
+        self.decoder: codecs.IncrementalDecoder | None = None  # of such text
         self.tail = self.rest = b""  # half a line; half a line of a process before
         self.head: list[bytes] = []  # the header and the first row of data, perhaps a line with the delimiter
         self.reader: LineReader | None = None  # as soon as there is a row of data
@@ -94,6 +109,10 @@ class PipeText(Stream):
 
     def _resume_from(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
+        if memory.get("wide"):
+            self.wide, held, flag = memory["wide"]
+            self.decoder = codecs.getincrementaldecoder(self.wide)("replace")
+            self.decoder.setstate((held.encode("latin-1"), flag))
         self._understand([line.encode("latin-1") for line in memory["head"]])
         reader = self._known_reader
         reader.layout = replace(reader.layout, skip=0)
@@ -119,7 +138,12 @@ class PipeText(Stream):
         broken = self.broken or bool(self.blank)
         if self.replaying:
             broken = self.was_broken
+        wide = None
+        if self.decoder is not None:
+            held, flag = self.decoder.getstate()
+            wide = self.wide, held.decode("latin-1"), flag
         return {
+            "wide": wide,
             "head": [line.decode("latin-1") for line in self.head],
             "number": max(self.number, self.resumed),
             "tail": (self.rest + self.tail + b"\r"[: self.returns]).decode("latin-1"),
@@ -150,13 +174,29 @@ class PipeText(Stream):
             ValueError: no header, a column that is missing, another sampling period than the model's, a
                 megabyte without a line end.
         """
-        rows = self._rows(self._lines(arrival))
+        rows = self._rows(self._lines(self._narrow(arrival)))
         pieces = [piece for piece in self._pieces(rows) if piece.samples] if rows else []
         if not pieces:
             return None
         whole = reduce(Recording.followed, pieces)
         self._refuse_period(whole.time)
         return whole
+
+    def _narrow(self, data: bytes) -> bytes:
+        """Return bytes of text with several bytes a letter in UTF-8, and others as they are."""
+        if self.undecided is not None:
+            data = self.undecided + data
+            self.undecided = data
+            if len(data) < 2:
+                return b""
+            self.undecided, wide = None, wide_encoding(data, format_of(self.model))
+            if wide and self.decoder is None:
+                self.wide, self.decoder = wide, codecs.getincrementaldecoder(wide)("replace")
+            elif self.decoder is not None and data.startswith(WIDE):  # the sender begins again
+                self.decoder.reset()
+        if self.decoder is None:
+            return data
+        return self.decoder.decode(data).encode()
 
     def label(self, when: str | float) -> str:
         """Return a time from `when` as a reader would write it."""
@@ -291,7 +331,9 @@ class PipeText(Stream):
         """
         how = format_of(self.model)
         try:
-            begun = head_of(Path(SOURCE), b"\n".join(head) + b"\n", how.encoding)
+            begun = head_of(Path(SOURCE), b"\n".join(head) + b"\n", "" if self.wide else how.encoding)
+            if self.wide:
+                begun = begun._replace(hints=(READ_AS.format(self.wide.upper()),))
             reader = reader_of(begun._replace(lines=begun.lines[: len(head)]), self.model, how)
         except ValueError as e:
             self.doubtful = ValueError(f"{SOURCE}: {str(e).replace('the file', 'the stream')}")

@@ -342,6 +342,41 @@ def test_a_format_that_is_stated_is_read_by_all_doors_and_kept_by_the_model_file
         jb.read(path, THREE, recording={"decimals": ","})
 
 
+def test_words_for_on_and_off_are_no_numbers():
+    sentence = "on of .recording. must be words: 2 is a number, read as it is; an expression like `pump - 1`"
+    for how in ({"on": "2", "off": "1"}, {"on": ["open", 2.0], "off": ["shut"]}):
+        with pytest.raises(ValueError, match=sentence.replace(" 2 ", " 2(.0)? ")):
+            with_format({}, how)
+    with pytest.raises(ValueError, match="off of .recording. must be words: 1 is a number"):
+        with_format({}, {"on": "1", "off": "shut,1"})
+    usual = format_of(THREE.replace(columns=with_format({}, {"on": "open,1", "off": "shut,0"})))
+    assert usual.on == ("open", "1")
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-16-le", "utf-32"])
+def test_streams_in_two_bytes_a_letter_are_read_as_files_are(tmp_path, encoding):
+    text = small(["20,5", "21,5", "22,5", "23,5"], ";").replace("heater", "Küche")
+    mark = "" if encoding in ("utf-16", "utf-32") else "\ufeff"
+    data = (mark + text).encode(encoding)
+    model = THREE.replace(inputs=["Küche"])
+    if "32" in encoding:
+        model = model.replace(columns=with_format({}, {"encoding": encoding}))
+    (tmp_path / "run.csv").write_bytes(data)
+    run = jb.read(tmp_path / "run.csv", model)
+    for cuts in ([], range(1, len(data)), [77]):
+        live, said = from_pipe(data, model, cuts)
+        assert live.y.tolist() == run.y.tolist() and said == [f"standard input: {run.hints[0]}"]
+    for at in range(30, len(data), 7):  # a process that goes on, within a letter too, or begins again
+        pipe = PipeText(model, print, taken=Taken(bytes))
+        begun = pipe.take(data[:at])
+        count = 0 if begun is None else begun.samples
+        for rest in (data[at:], data) if count else ():
+            kept = Taken(lambda pipe=pipe: bytes(pipe.taken.fresh))
+            again = PipeText(model, lambda kind, sentence: None, pipe.memory(), kept)
+            pieces = [again.take(rest[k : k + 5]) for k in range(0, len(rest), 5)]
+            assert sum(piece.samples for piece in pieces if piece is not None) == 4 - count
+
+
 def test_rows_of_one_time_and_blank_cells_are_read_as_stated(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("time,heater,temp\n0,1,1\n0,1,2\n60,,3\n120,,4\n180,,5\n")
