@@ -32,7 +32,14 @@ from jaxbound.recordings.csvtext import (
     is_value,
     wide_encoding,
 )
-from jaxbound.recordings.linetext import Cells, LineReader, of_one, reader_of, refuse_infinite
+from jaxbound.recordings.linetext import (
+    Cells,
+    LineReader,
+    may_end_in_zeros,
+    of_one,
+    reader_of,
+    refuse_infinite,
+)
 from jaxbound.recordings.oddcells import thousands
 from jaxbound.recordings.recording import Recording, Samples, Times
 from jaxbound.recordings.recordingformat import RecordingFormat, format_of
@@ -117,6 +124,8 @@ class PipeText(Stream):
         reader = self._known_reader
         reader.layout = replace(reader.layout, skip=0)
         reader.resume(memory.get("reader", {}))
+        for name, fields in memory.get("doubts", {}).items():
+            self.doubts[name] = Doubt(**fields)
         self.rest = memory["tail"].encode("latin-1")
         if self.rest == b"\r":
             self.rest, self.returns = b"", 1
@@ -154,6 +163,7 @@ class PipeText(Stream):
             "texts": self.texts,
             "broken": broken,
             "reader": self.reader.memory(),
+            "doubts": {name: vars(doubt) for name, doubt in self.doubts.items()},
         }
 
     def ended(self) -> None:
@@ -596,17 +606,21 @@ class PipeText(Stream):
     def _refuse_doubt(self, cells: Cells, excluded: np.ndarray | None, rows: list[Line]) -> None:
         """Refuse a number whose decimal sign may be a sign for thousands, behind whole ones."""
         reader = self._known_reader
-        for name, doubt in self.doubts.items():
+        doubts = {name: doubt for name, doubt in self.doubts.items() if not doubt.over}
+        if not doubts:
+            return
+        zeros = np.fromiter((may_end_in_zeros(line) for _, line in rows), bool, len(rows))
+        for name, doubt in doubts.items():
             values, at = cells.columns[name], reader.index[name]
             if excluded is not None:
                 values = np.where(excluded, np.nan, values)
-            odd = doubt.next_odd(values, partial(self._cell, rows, at))
+            odd = doubt.next_odd(values, zeros | (values % 1 != 0), partial(self._cell, rows, at))
             if odd:
-                raise ValueError(f"of {thousands(name, [f'{odd} behind whole numbers'])}")
+                raise ValueError(f"of {thousands(name, [odd])}")
 
     def _cell(self, rows: list[Line], at: int, k: int) -> str:
         """Return a cell of the line of row k."""
-        return self._known_reader.layout.cells(rows[k][1])[at]
+        return self._known_reader.row_of(rows[k][1])[at]
 
     def _digests(self, cells: Cells) -> np.ndarray:
         """Return the digests of rows: of their time as it is written, and of all cells that are read."""

@@ -146,3 +146,30 @@ def test_signs_of_two_kinds_and_units_that_come_late_are_left_out_with_their_row
         y, said = from_pipe(text_of(cells))
         assert len(y) == len(cells) - 1
         assert f"line {len(cells) + 1} of column 'y1' holds {cells[-1]!r}, which is not a number" in said[0]
+
+
+@pytest.mark.parametrize(
+    "first, then", [("998,5", "1.000"), ("998.5", "1,000"), ("998", "1.000"), ("1.002", "998")]
+)
+@pytest.mark.parametrize("beside", ["", "999"])
+def test_zeros_behind_a_sign_for_thousands_are_never_lost_in_a_burst(tmp_path, first, then, beside):
+    """Cells that are read at once show their signs, too, where their numbers do not."""
+    cells = [first] * 12 + [then, beside or then] * 12
+    text = text_of(cells)
+    (tmp_path / "run.csv").write_text(text)
+    try:
+        known = jb.read(tmp_path / "run.csv", MODEL).y[:, 0]
+    except ValueError as e:
+        known = np.where(np.array(cells) == then, np.nan, [float(cell) for cell in cells])
+        assert "write whole numbers without signs for thousands" in str(e)
+    for size in (10**6, len(text_of(cells[:12])), 60):
+        said, pieces = [], []
+        model = MODEL.replace(columns={"where": "t >= 0"})
+        pipe = PipeText(model, lambda kind, sentence, said=said: said.append(sentence))
+        for at in range(0, len(text), size):
+            piece = pipe.take(text[at : at + size].encode())
+            pieces += [] if piece is None else [piece]
+            pipe = PipeText(model, pipe.complain, pipe.memory()) if pieces else pipe  # another process
+        time = np.concatenate([piece.time for piece in pieces]).astype(int)
+        np.testing.assert_array_equal(np.concatenate([piece.y[:, 0] for piece in pieces]), known[time])
+        assert len(time) + pipe.lost == len(cells) and (np.isfinite(known).all() or said)
