@@ -207,7 +207,7 @@ def _in_formats(
         # a fraction is one of a second: none of 08:30.5 is an hour
         if form.startswith(date) and _has_format(first, form) and (not tidy.fine or "%S" in form):
             stamps = _stamps_in(tidy.texts, tidy.more, form, where)
-            read.append((form, _with_midnights(stamps, cells, form, where)))
+            read.append((form, _with_midnights(stamps, cells, tidy.texts, form, where)))
     if not read:
         raise ValueError(
             f"{where(0)} of the time column is {cells[0].as_py()!r}: neither seconds nor a known time stamp "
@@ -224,15 +224,17 @@ def _in_formats(
 
 
 def _with_midnights(
-    stamps: np.ndarray, cells: "pa.Array", form: str, where: Callable[[int], str]
+    stamps: np.ndarray, cells: "pa.Array", tidy: "pa.Array", form: str, where: Callable[[int], str]
 ) -> np.ndarray:
-    """Return stamps (N,) with the beginning of the day where a cell holds none but a date."""
+    """Return stamps (N,) with the beginning of the day where a cell, or what is read of it, is a date."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
     unread = np.flatnonzero(np.isnat(stamps))
     if len(unread):
         texts = pc.utf8_trim_whitespace(cells.take(pa.array(unread)))
+        read = tidy.take(pa.array(unread))
+        texts = pc.if_else(pc.equal(read, ""), texts, read)
         days = pc.if_else(pc.match_substring(texts, ":"), "", texts)  # others are not read twice
         stamps[unread] = _stamps_in(days, None, _date_of(form), where)
     return stamps

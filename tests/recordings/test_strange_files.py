@@ -506,7 +506,8 @@ def test_an_order_of_dates_that_nothing_shows_is_asked_for_where_it_sets_the_ste
 
 
 @pytest.mark.parametrize(
-    "form", ["%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M", "%m/%d/%Y %H:%M", "%d.%m.%Y %I:%M %p"]
+    "form",
+    ["%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M", "%m/%d/%Y %H:%M", "%d.%m.%Y %I:%M %p", "%d-%b-%y %H:%M"],
 )
 def test_a_date_without_a_clock_is_midnight_where_it_follows_the_row_before(tmp_path, form):
     """Spreadsheets write midnight so, and footers the day on which they were written."""
