@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from os import PathLike
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +38,7 @@ from jaxbound.text.progress import Progress, reporter
 from jaxbound.text.units import without_unit
 
 MOST = 1_000_000  # samples that are looked at of a recording that is read in pieces
+ENOUGH = 1 << 28  # bytes that are looked at of what comes out of a pipe
 BINS = 600  # of a picture
 FEW_WORDS = 20  # that stand for missing samples
 SET = 0.2  # share of steps up to which a column that is set by somebody changes
@@ -101,7 +103,7 @@ class LookedColumn:
         name, span, step = self.name, "", ""
         if len(name) > wide:  # names of one plant begin alike
             name = f"{name[:8]}...{name[11 - wide :]}"
-        if self.kind == NUMBER:
+        if self.kind == NUMBER and np.isfinite(self.low):
             span = f"{self.low:.5g} .. {self.high:.5g}"
         if self.resolution:
             step = f"{self.resolution:.4g}"
@@ -163,7 +165,8 @@ class Look:
     def extent(self) -> str:
         """The numbers of samples and of columns, in words."""
         kinds = [column.kind for column in self.columns]
-        return f"{self.samples} samples of {kinds.count(NUMBER)} columns of numbers"
+        count = kinds.count(NUMBER)
+        return f"{self.samples} samples of {count} column{'s' * (count != 1)} of numbers"
 
     @property
     def findings(self) -> list[Finding]:
@@ -227,9 +230,9 @@ def look(
     commands, valves or weather are.
 
     Args:
-        data: a path, as `read` takes it, or a table. recording: how the file is written, as for `read`. dt:
-            sampling period in s, for a recording without times. progress: called with the share of the work
-            done.
+        data: a path, as `read` takes it, "-" for standard input, or a table. recording: how the file is
+            written, as for `read`. dt: sampling period in s, for a recording without times. progress: called
+            with the share of the work done.
 
     Returns:
         A Look, which `plot` draws.
@@ -248,6 +251,19 @@ def look(
         >>> found.command.partition(" --inputs ")[2]
         "heater --outputs 'wind=angle(wind),T [degC]' --out plant.toml"
     """
+    with kind_of(data).kept(data, ENOUGH) as kept:
+        found = _look(kept, recording, dt, progress)
+        if kept is data:
+            return found
+        hints = found.hints
+        if Path(str(kept)).stat().st_size == ENOUGH:
+            hints = (f"{ENOUGH >> 20} MiB came and it had not ended: only these are shown", *hints)
+    name = {"-": "standard input"}.get(str(data), Path(str(data)).name)
+    return replace(found, source=name, hints=hints, command=found.command.replace(str(kept), "FILE"))
+
+
+def _look(data: object, recording: Stated, dt: float | None, progress: Progress | None) -> Look:
+    """Return a look at data that can be read more than once."""
     report = reporter(progress, "read")
     stated = with_format({}, recording)
     outline = kind_of(data).outline(data, RecordingFormat.of(stated.get(RECORDING)))

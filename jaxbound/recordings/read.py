@@ -3,6 +3,7 @@
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -155,12 +156,25 @@ class ReadOnce(Source):
             raise ValueError(
                 "standard input is read by `jaxbound detect MODEL.toml -`: give the name of a file here"
             )
+        with self.kept(self.data) as path:
+            return replace(open_source(path, self.model).read(progress=progress), source=self.label)
+
+    @classmethod
+    @contextmanager
+    def kept(cls, data: object, most: int | None = None) -> Iterator[object]:
+        """Yield the path of a file with the bytes that come out of the pipe, as long as it is needed."""
+        named: str | int = str(data)
+        if named == "-":
+            named = 0
         with tempfile.NamedTemporaryFile(prefix="jaxbound-") as file:
-            with open(str(self.data), "rb") as pipe:
-                shutil.copyfileobj(pipe, file)
+            with open(named, "rb", closefd=named != 0) as pipe:
+                if most is None:
+                    shutil.copyfileobj(pipe, file)
+                else:
+                    file.write(pipe.read(most))
             file.flush()
             try:
-                return replace(open_source(file.name, self.model).read(progress=progress), source=self.label)
+                yield file.name
             except ValueError as e:
                 raise ValueError(str(e).replace(f"{file.name}: ", "", 1)) from None
 

@@ -93,6 +93,8 @@ class RecordingFormat:
             raise ValueError(f"{RECORDING} has {found.decimal!r} for decimals and for thousands")
         if bool(found.on) != bool(found.off):
             raise ValueError(f"{RECORDING} needs words for on and off, or none of both")
+        _refuse_numbers("on", found.on, 1.0)
+        _refuse_numbers("off", found.off, 0.0)
         return found
 
     @property
@@ -103,13 +105,7 @@ class RecordingFormat:
     @property
     def numbers(self) -> tuple[float, ...]:
         """The numbers that stand for missing samples."""
-        numbers = []
-        for word in self.missing:
-            try:
-                numbers.append(float(word.replace(",", ".")))
-            except ValueError:  # a word
-                continue
-        return tuple(numbers)
+        return tuple(_numbers(self.missing).values())
 
     def deadbands(self, outputs: Sequence[str]) -> dict[str, Fraction]:
         """Return {output: its deadband}, 0 where none is stated.
@@ -203,6 +199,27 @@ def format_of(model: object) -> RecordingFormat:
     """Return the format that the columns of a model state."""
     columns: Mapping[str, str] = getattr(model, "columns", {})
     return RecordingFormat.of(columns.get(RECORDING))
+
+
+def _numbers(words: Iterable[str]) -> dict[str, float]:
+    """Return {word: number} of those that are numbers."""
+    numbers = {}
+    for word in words:
+        try:
+            numbers[word] = float(word.replace(",", "."))
+        except ValueError:  # a word
+            continue
+    return numbers
+
+
+def _refuse_numbers(name: str, words: Iterable[str], meant: float) -> None:
+    """Refuse words for on or off that are other numbers: a column of numbers is read as it is."""
+    for word, number in _numbers(words).items():
+        if number != meant:
+            remedy = "an expression like `pump - 1` makes 1 of 2"
+            raise ValueError(
+                f"{name} of {RECORDING} must be words: {word} is a number, read as it is; {remedy}"
+            )
 
 
 def _text(value: object) -> str:
