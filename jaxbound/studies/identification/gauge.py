@@ -12,6 +12,9 @@ counts, most windows need no program: with the residual e of least squares, orth
 
     |e|_2^2 / |e|_1 <= t <= |e|_inf
 
+Where bounds follow factors, a row has a width of its own in each window, its bound there over b_i: then it is
+|r_i - (O x)_i| <= t w_i, and |e|_2^2 / sum w_i |e_i| <= t <= max |e_i| / w_i.
+
 Source: Cheney 1966 (duality of approximation in the maximum norm).
 """
 
@@ -24,6 +27,7 @@ import numpy as np
 from jaxbound.models.average import Average
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import model_matrices
+from jaxbound.recordings.factors import by_name
 from jaxbound.sets.strips.chebyshev import fitted
 from jaxbound.studies.identification.judging import Judge, Sizes
 from jaxbound.studies.identification.one_thread import times
@@ -40,13 +44,15 @@ class Gauge(NamedTuple):
     """Windows of a model whose sensors alone err.
 
     Fields: over (R, (s + 1) p): errors of a window on its rows, each over its bound. free (R, r): orthonormal
-    columns that span what the first state does to these rows.
+    columns that span what the first state does to these rows. seen: the samples of a window that are looked
+    at, with p rows each, the first ones.
     """
 
     model: LinearSystem
     horizon: int
     over: np.ndarray
     free: np.ndarray
+    seen: Sequence[int]
 
     def rows(self, record: Record, first: np.ndarray) -> np.ndarray:
         """Return the rows (N, R) of windows that begin at samples first (N,), without what the first state
@@ -57,6 +63,27 @@ class Gauge(NamedTuple):
         left = y[at] - np.array(self.model.offset["y"], float) - self._driven(u[at])
         rows = times(left.reshape(len(first), -1), self.over.T)
         return np.asarray(rows - times(times(rows, self.free), self.free.T))
+
+    def widths(self, record: Record) -> np.ndarray | None:
+        """Return (T, p), the bounds at each sample over those that the model states; None: all are 1."""
+        model, u = self.model, record[0]
+        if not model.times:
+            return None
+        widths = np.ones((len(u), model.p))
+        for factor in model.factors:
+            noise, rounds = float(model.noise[factor.number]), float(model.resolution[factor.number])
+            values = factor.expression.values(by_name(model, u))
+            widths[:, factor.number] = (noise * values + rounds) / (noise + rounds)
+        return widths
+
+    def on_rows(self, widths: np.ndarray | None, first: np.ndarray) -> np.ndarray | None:
+        """Return the widths (N, R) of the rows of windows that begin at samples first (N,)."""
+        if widths is None:
+            return None
+        on_rows = np.ones((len(first), len(self.over)))
+        own = widths[first[:, None] + np.array(self.seen)].reshape(len(first), -1)
+        on_rows[:, : own.shape[1]] = own
+        return on_rows
 
     def _driven(self, u: np.ndarray) -> np.ndarray:
         """Return the outputs (N, s + 1, p) of windows whose first state is 0, by inputs (N, s + 1, m)."""
@@ -77,10 +104,11 @@ class Gauge(NamedTuple):
         if most is not None and len(first) > most:
             first = first[np.linspace(0, len(first) - 1, most).astype(int)]
         need = np.full(len(y), np.nan)
-        least, above = np.zeros(len(first)), np.zeros(len(first))
+        least, above, widths = np.zeros(len(first)), np.zeros(len(first)), self.widths(record)
         for begin in range(0, len(first), CHUNK):
             part = slice(begin, begin + CHUNK)
-            least[part], above[part] = _bracket(self.rows(record, first[part]))
+            wide = self.on_rows(widths, first[part])
+            least[part], above[part] = _bracket(self.rows(record, first[part]), wide)
         order = np.argsort(-above)
         for begin in range(0, len(order), BATCH):
             some = order[begin : begin + BATCH]
@@ -88,7 +116,8 @@ class Gauge(NamedTuple):
             some = some[above[some] > level]
             if not len(some):
                 break
-            found = best_approximations(self.rows(record, first[some]), self.free)
+            wide = self.on_rows(widths, first[some])
+            found = best_approximations(self.rows(record, first[some]), self.free, wide)
             least[some] = np.where(found > level, found, least[some])
         need[first + self.horizon] = least
         return need
@@ -97,15 +126,17 @@ class Gauge(NamedTuple):
         """Return (1,) one of the windows, which begin at samples first (N,), that needs more than its bounds;
         (0,) where none does.
         """
+        widths = self.widths(record)
         for begin in range(0, len(first), CHUNK):
             part = first[begin : begin + CHUNK]
-            least, most = _bracket(self.rows(record, part))
+            least, most = _bracket(self.rows(record, part), self.on_rows(widths, part))
             doubtful = part[np.argsort(-most)[: (most > 1).sum()]]
             if (least > 1).any():
                 return part[least > 1][:1]
             for at in range(0, len(doubtful), BATCH):
                 some = doubtful[at : at + BATCH]
-                found = best_approximations(self.rows(record, some), self.free)
+                wide = self.on_rows(widths, some)
+                found = best_approximations(self.rows(record, some), self.free, wide)
                 if (found > 1).any():
                     worst = int(np.argmax(found))
                     return some[worst : worst + 1]
@@ -129,10 +160,10 @@ def gauge_of(model: LinearSystem, averages: Sequence[Average] | None = None) -> 
         blocks.append(blocks[-1] @ A)
     free = over @ np.concatenate(blocks)
     if not free.size:
-        return Gauge(model, horizon, over, np.zeros((len(over), 0)))
+        return Gauge(model, horizon, over, np.zeros((len(over), 0)), seen)
     free = free / np.maximum(np.abs(free).max(0), 1e-300)  # of states that grow out of reach
     left, singular, _ = np.linalg.svd(free, full_matrices=False)
-    return Gauge(model, horizon, over, left[:, singular > RANK * singular[0]])
+    return Gauge(model, horizon, over, left[:, singular > RANK * singular[0]], seen)
 
 
 def _over_bounds(
@@ -156,25 +187,31 @@ def _over_bounds(
     return np.concatenate(rows)
 
 
-def _bracket(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (lower, upper) bounds (N,) on the best approximation, of least squares residuals (N, R)."""
-    size = np.abs(e)
-    total = np.maximum(size.sum(1), 1e-300)
+def _bracket(e: np.ndarray, widths: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return (lower, upper) bounds (N,) on the best approximation, of least squares residuals (N, R) and
+    widths of their rows.
+    """
+    size, allowed = np.abs(e), np.abs(e)
+    if widths is not None:
+        size, allowed = size / widths, size * widths
+    total = np.maximum(allowed.sum(1), 1e-300)
     return np.square(e).sum(1) / total, size.max(1)
 
 
-def best_approximations(r: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Return min over x of max_i |r_i - (free x)_i| for each of the rows of r (N, R); free (R, n)
-    orthonormal.
+def best_approximations(r: np.ndarray, free: np.ndarray, widths: np.ndarray | None = None) -> np.ndarray:
+    """Return min over x of max_i |r_i - (free x)_i| / widths_i for each of the rows of r (N, R); free (R, n)
+    orthonormal; widths (N, R), None: 1.
     """
     r = r - (r @ free) @ free.T
     size = np.maximum(np.abs(r).max(1), 1e-300)
     r = r / size[:, None]
     N, (R, n) = len(r), free.shape
     values, radius = np.concatenate([r, np.zeros((N, n))], 1), np.ones((N, R + n))
+    if widths is not None:
+        radius[:, :R] = widths
     there, unbounded = np.ones((N, R), bool), np.ones((N, n), bool)
     x = fitted(np.broadcast_to(free, (N, R, n)), values, radius, there, unbounded, RANK).x
-    return np.asarray(np.abs(r - x @ free.T).max(1) * size)
+    return np.asarray((np.abs(r - x @ free.T) / radius[:, :R]).max(1) * size)
 
 
 @dataclass(frozen=True)
