@@ -284,3 +284,39 @@ def test_what_a_vanishing_disturbance_adds_to_noise_is_not_times_a_factor():
     assert jb.parity_relations(times, 3)._moving is None
     still = times.replace(disturbance=([[1]], 0))
     assert jb.parity_relations(still, 3)._moving.model.times == times.times
+
+
+def test_samples_taken_late_or_early_are_no_fault_of_a_bank_of_means_and_bounds_that_follow(rng):
+    """The level is read up to .3 s off, at the worst moments: by as much as it moves then, which bounds of one
+    test follow, and of which the other knows the largest, and the largest mean of four.
+    """
+    T = 160
+    pump = np.repeat(rng.uniform(-1, 1, T // 8) ** 3, 8)
+    level, pace = np.zeros(T), np.zeros(T)
+    for k in range(T):
+        pace[k] = pump[k] - 0.1 * level[k]
+        if k + 1 < T:
+            level[k + 1] = level[k] + pace[k]
+    signs = rng.choice([-1.0, 1.0], (2, T))
+    error = 0.3 * signs[0] * pace + 0.05 * signs[1]
+    mean = np.abs(np.convolve(error, np.full(4, 0.25), "valid")).max() + 1e-12
+    constant = {"noise": abs(error).max() + 1e-12, "averages": [{"samples": 4, "bound": mean}]}
+    tests = [{"name": "follows"}, {"name": "means", "model": {"outputs": [{"name": "level", **constant}]}}]
+    model = jb.LinearSystem(
+        [["0.9"]],
+        [[1]],
+        [[1]],
+        noise="0.05",
+        times={"level": "1 + 6*abs(pace)"},
+        inputs="pump",
+        outputs="level",
+        horizon=11,
+        tests=tests,
+    )
+    table = pd.DataFrame({"pump": pump, "pace": pace, "level": level + error})
+    for kind in (np.float64, np.float32):
+        healthy = jb.detect(model, table.astype({"level": kind}))
+        assert healthy.counts["FAULT"] == 0 and set(healthy.tests) == {"follows", "means"}
+        assert all(np.nanmin(one.margin) < 0.5 for one in healthy.tests.values())
+    faulty = jb.detect(model, table.assign(level=table["level"] + 1.0 * (np.arange(T) > 80)))
+    assert all(one.counts["FAULT"] for one in faulty.tests.values())

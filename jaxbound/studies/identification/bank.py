@@ -130,15 +130,14 @@ def fitted_bank(
 
 
 def _listing(check: FitCheck, tests: Sequence[JudgedTest], taken: Sequence[JudgedTest]) -> FitCheck:
-    """Return the check with the tests that were tried, one of each windows: that which is taken, else the
-    best.
-    """
-    shown: dict[WindowChoice, JudgedTest] = {}
+    """Return the check with the tests that were tried, of each windows those that are taken, else the best."""
+    best: dict[WindowChoice, JudgedTest] = {}
     for test in tests:  # in the order in which they were tried
-        shown[test.window] = best_test([test, shown.get(test.window, test)])
-    for test in taken:
-        shown[test.window] = test
-    return dataclasses.replace(check, tests=tuple(shown.values()))
+        best[test.window.constant] = best_test([test, best.get(test.window.constant, test)])
+    shown: list[JudgedTest] = []
+    for window, test in best.items():
+        shown += [one for one in taken if one.window.constant == window] or [test]
+    return dataclasses.replace(check, tests=tuple(shown))
 
 
 def _saying(check: FitCheck, *sentences: str) -> FitCheck:

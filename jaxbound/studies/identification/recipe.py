@@ -67,6 +67,11 @@ class WindowChoice(NamedTuple):
     follow: float = 0.0
 
     @property
+    def constant(self) -> "WindowChoice":
+        """The same windows, with bounds that do not follow."""
+        return self._replace(follow=0.0)
+
+    @property
     def about(self) -> dict[str, Any]:
         """The windows as an argument of a LinearSystem; none of an observer."""
         if self.observer is not None:
@@ -86,7 +91,7 @@ class WindowChoice(NamedTuple):
         if self.average is not None:
             text = f"means of {self.average} in {text}"
         if self.follow:
-            text = f"{text}, bounds follow by {self.follow:g}"
+            text = f"{text} (follow {self.follow:g})"
         return text
 
 
