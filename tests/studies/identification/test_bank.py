@@ -160,7 +160,7 @@ def jittering():
 
 
 def test_tests_whose_bounds_follow_compete_with_constant_bounds_and_means(jittering, monkeypatch, tmp_path):
-    windows = WindowChoice(7), WindowChoice(15, average=8), WindowChoice(15)
+    windows = WindowChoice(3), WindowChoice(5, average=3), WindowChoice(5)
     monkeypatch.setattr(window_tests, "WINDOWS", windows)
     monkeypatch.setattr(bank, "GAIN", 2.0)  # whatever is not worse as a whole joins
     model = jb.fit(jittering, order=1, method="least squares", test="bank", follow="auto")
