@@ -287,8 +287,8 @@ def test_what_a_vanishing_disturbance_adds_to_noise_is_not_times_a_factor():
 
 
 def test_samples_taken_late_or_early_are_no_fault_of_a_bank_of_means_and_bounds_that_follow(rng):
-    """The level is read up to .3 s off, at the worst moments: by as much as it moves then, which bounds of one
-    test follow, and of which the other knows the largest, and the largest mean of four.
+    """The level is read up to .3 s off: by as much as it moves then, which bounds of one test follow, and of
+    which the other knows the largest, and the largest mean of four.
     """
     T = 160
     pump = np.repeat(rng.uniform(-1, 1, T // 8) ** 3, 8)

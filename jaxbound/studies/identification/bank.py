@@ -130,7 +130,7 @@ def fitted_bank(
 
 
 def _listing(check: FitCheck, tests: Sequence[JudgedTest], taken: Sequence[JudgedTest]) -> FitCheck:
-    """Return the check with the tests that were tried, of each windows those that are taken, else the best."""
+    """Return the check with the tests that were tried: of each windows those taken, else the best."""
     best: dict[WindowChoice, JudgedTest] = {}
     for test in tests:  # in the order in which they were tried
         best[test.window.constant] = best_test([test, best.get(test.window.constant, test)])

@@ -44,7 +44,7 @@ class Gauge(NamedTuple):
     """Windows of a model whose sensors alone err.
 
     Fields: over (R, (s + 1) p): errors of a window on its rows, each over its bound. free (R, r): orthonormal
-    columns that span what the first state does to these rows. seen: the samples of a window that are looked
+    columns that span what the first state does to these rows. samples: those of a window that are looked
     at, with p rows each, the first ones.
     """
 
@@ -52,7 +52,7 @@ class Gauge(NamedTuple):
     horizon: int
     over: np.ndarray
     free: np.ndarray
-    seen: Sequence[int]
+    samples: Sequence[int]
 
     def rows(self, record: Record, first: np.ndarray) -> np.ndarray:
         """Return the rows (N, R) of windows that begin at samples first (N,), without what the first state
@@ -81,7 +81,7 @@ class Gauge(NamedTuple):
         if widths is None:
             return None
         on_rows = np.ones((len(first), len(self.over)))
-        own = widths[first[:, None] + np.array(self.seen)].reshape(len(first), -1)
+        own = widths[first[:, None] + np.array(self.samples)].reshape(len(first), -1)
         on_rows[:, : own.shape[1]] = own
         return on_rows
 
@@ -148,32 +148,32 @@ def gauge_of(model: LinearSystem, averages: Sequence[Average] | None = None) -> 
     other averages in their place.
     """
     assert model.horizon is not None, "a model that is fitted for windows has one"
-    horizon, seen = model.horizon, list(range(model.horizon + 1))
+    horizon, samples = model.horizon, list(range(model.horizon + 1))
     if model.lags is not None:
-        seen = [horizon - lag for lag in reversed(model.lags)]
+        samples = [horizon - lag for lag in reversed(model.lags)]
     if averages is None:
         averages = model.averages
-    over = _over_bounds(model, averages, horizon + 1, seen)
+    over = _over_bounds(model, averages, horizon + 1, samples)
     A, C = model_matrices(model, "AC")
     blocks = [C]
     for _ in range(horizon):
         blocks.append(blocks[-1] @ A)
     free = over @ np.concatenate(blocks)
     if not free.size:
-        return Gauge(model, horizon, over, np.zeros((len(over), 0)), seen)
+        return Gauge(model, horizon, over, np.zeros((len(over), 0)), samples)
     free = free / np.maximum(np.abs(free).max(0), 1e-300)  # of states that grow out of reach
     left, singular, _ = np.linalg.svd(free, full_matrices=False)
-    return Gauge(model, horizon, over, left[:, singular > RANK * singular[0]], seen)
+    return Gauge(model, horizon, over, left[:, singular > RANK * singular[0]], samples)
 
 
 def _over_bounds(
-    model: LinearSystem, averages: Sequence[Average], count: int, seen: Sequence[int]
+    model: LinearSystem, averages: Sequence[Average], count: int, samples: Sequence[int]
 ) -> np.ndarray:
     """Return the rows of windows: each error that is looked at over its bound, and each run of an average."""
     p = model.p
     bounds = [float(noise + rounded) for noise, rounded in zip(model.noise, model.resolution, strict=True)]
-    single = np.zeros((len(seen), p, count, p))
-    for number, sample in enumerate(seen):
+    single = np.zeros((len(samples), p, count, p))
+    for number, sample in enumerate(samples):
         single[number, :, sample] = np.diag(1 / np.array(bounds))
     rows = [single.reshape(-1, count * p)]
     for average in averages:
