@@ -44,15 +44,15 @@ class Gauge(NamedTuple):
     """Windows of a model whose sensors alone err.
 
     Fields: over (R, (s + 1) p): errors of a window on its rows, each over its bound. free (R, r): orthonormal
-    columns that span what the first state does to these rows. samples: those of a window that are looked
-    at, with p rows each, the first ones.
+    columns that span what the first state does to these rows. fixed (R,): the share of the bound of a row
+    that is what the recorder rounds away, which factors do not widen.
     """
 
     model: LinearSystem
     horizon: int
     over: np.ndarray
     free: np.ndarray
-    samples: Sequence[int]
+    fixed: np.ndarray
 
     def rows(self, record: Record, first: np.ndarray) -> np.ndarray:
         """Return the rows (N, R) of windows that begin at samples first (N,), without what the first state
@@ -64,26 +64,23 @@ class Gauge(NamedTuple):
         rows = times(left.reshape(len(first), -1), self.over.T)
         return np.asarray(rows - times(times(rows, self.free), self.free.T))
 
-    def widths(self, record: Record) -> np.ndarray | None:
-        """Return (T, p), the bounds at each sample over those that the model states; None: all are 1."""
+    def factors(self, record: Record) -> np.ndarray | None:
+        """Return (T, p), the factors on the noise of each sample; None: there are none."""
         model, u = self.model, record[0]
         if not model.times:
             return None
-        widths = np.ones((len(u), model.p))
+        factors = np.ones((len(u), model.p))
         for factor in model.factors:
-            noise, rounds = float(model.noise[factor.number]), float(model.resolution[factor.number])
-            values = factor.expression.values(by_name(model, u))
-            widths[:, factor.number] = (noise * values + rounds) / (noise + rounds)
-        return widths
+            factors[:, factor.number] = factor.expression.values(by_name(model, u))
+        return factors
 
-    def on_rows(self, widths: np.ndarray | None, first: np.ndarray) -> np.ndarray | None:
+    def widths(self, factors: np.ndarray | None, first: np.ndarray) -> np.ndarray | None:
         """Return the widths (N, R) of the rows of windows that begin at samples first (N,)."""
-        if widths is None:
+        if factors is None:
             return None
-        on_rows = np.ones((len(first), len(self.over)))
-        own = widths[first[:, None] + np.array(self.samples)].reshape(len(first), -1)
-        on_rows[:, : own.shape[1]] = own
-        return on_rows
+        size = np.abs(self.over)
+        at = factors[first[:, None] + np.arange(self.horizon + 1)].reshape(len(first), -1)
+        return np.asarray(self.fixed + (1 - self.fixed) * times(at, (size / size.sum(1, keepdims=True)).T))
 
     def _driven(self, u: np.ndarray) -> np.ndarray:
         """Return the outputs (N, s + 1, p) of windows whose first state is 0, by inputs (N, s + 1, m)."""
@@ -104,10 +101,10 @@ class Gauge(NamedTuple):
         if most is not None and len(first) > most:
             first = first[np.linspace(0, len(first) - 1, most).astype(int)]
         need = np.full(len(y), np.nan)
-        least, above, widths = np.zeros(len(first)), np.zeros(len(first)), self.widths(record)
+        least, above, factors = np.zeros(len(first)), np.zeros(len(first)), self.factors(record)
         for begin in range(0, len(first), CHUNK):
             part = slice(begin, begin + CHUNK)
-            wide = self.on_rows(widths, first[part])
+            wide = self.widths(factors, first[part])
             least[part], above[part] = _bracket(self.rows(record, first[part]), wide)
         order = np.argsort(-above)
         for begin in range(0, len(order), BATCH):
@@ -116,7 +113,7 @@ class Gauge(NamedTuple):
             some = some[above[some] > level]
             if not len(some):
                 break
-            wide = self.on_rows(widths, first[some])
+            wide = self.widths(factors, first[some])
             found = best_approximations(self.rows(record, first[some]), self.free, wide)
             least[some] = np.where(found > level, found, least[some])
         need[first + self.horizon] = least
@@ -126,16 +123,16 @@ class Gauge(NamedTuple):
         """Return (1,) one of the windows, which begin at samples first (N,), that needs more than its bounds;
         (0,) where none does.
         """
-        widths = self.widths(record)
+        factors = self.factors(record)
         for begin in range(0, len(first), CHUNK):
             part = first[begin : begin + CHUNK]
-            least, most = _bracket(self.rows(record, part), self.on_rows(widths, part))
+            least, most = _bracket(self.rows(record, part), self.widths(factors, part))
             doubtful = part[np.argsort(-most)[: (most > 1).sum()]]
             if (least > 1).any():
                 return part[least > 1][:1]
             for at in range(0, len(doubtful), BATCH):
                 some = doubtful[at : at + BATCH]
-                wide = self.on_rows(widths, some)
+                wide = self.widths(factors, some)
                 found = best_approximations(self.rows(record, some), self.free, wide)
                 if (found > 1).any():
                     worst = int(np.argmax(found))
@@ -153,38 +150,42 @@ def gauge_of(model: LinearSystem, averages: Sequence[Average] | None = None) -> 
         samples = [horizon - lag for lag in reversed(model.lags)]
     if averages is None:
         averages = model.averages
-    over = _over_bounds(model, averages, horizon + 1, samples)
+    over, fixed = _over_bounds(model, averages, horizon + 1, samples)
     A, C = model_matrices(model, "AC")
     blocks = [C]
     for _ in range(horizon):
         blocks.append(blocks[-1] @ A)
     free = over @ np.concatenate(blocks)
     if not free.size:
-        return Gauge(model, horizon, over, np.zeros((len(over), 0)), samples)
+        return Gauge(model, horizon, over, np.zeros((len(over), 0)), fixed)
     free = free / np.maximum(np.abs(free).max(0), 1e-300)  # of states that grow out of reach
     left, singular, _ = np.linalg.svd(free, full_matrices=False)
-    return Gauge(model, horizon, over, left[:, singular > RANK * singular[0]], samples)
+    return Gauge(model, horizon, over, left[:, singular > RANK * singular[0]], fixed)
 
 
 def _over_bounds(
     model: LinearSystem, averages: Sequence[Average], count: int, samples: Sequence[int]
-) -> np.ndarray:
-    """Return the rows of windows: each error that is looked at over its bound, and each run of an average."""
-    p = model.p
-    bounds = [float(noise + rounded) for noise, rounded in zip(model.noise, model.resolution, strict=True)]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows of windows, each error that is looked at over its bound and each run of an average, and
+    the share of each bound that is what the recorder rounds away.
+    """
+    p, rounded = model.p, np.array(model.resolution, float)
+    bounds = np.array(model.noise, float) + rounded
     single = np.zeros((len(samples), p, count, p))
     for number, sample in enumerate(samples):
-        single[number, :, sample] = np.diag(1 / np.array(bounds))
-    rows = [single.reshape(-1, count * p)]
+        single[number, :, sample] = np.diag(1 / bounds)
+    rows, fixed = [single.reshape(-1, count * p)], [np.tile(rounded / bounds, len(samples))]
     for average in averages:
         _, i = average.place(model.outputs)
         weights = np.array(list(map(float, average.weights)))
-        bound = float(average.bound) + float(model.resolution[i]) * np.abs(weights).sum()
+        rounds = rounded[i] * np.abs(weights).sum()
+        bound = float(average.bound) + rounds
         runs = np.zeros((count - len(weights) + 1, count, p))
         first = np.arange(len(runs))[:, None]
         runs[first, first + np.arange(len(weights)), i] = weights / bound
         rows.append(runs.reshape(len(runs), -1))
-    return np.concatenate(rows)
+        fixed.append(np.full(len(runs), rounds / bound))
+    return np.concatenate(rows), np.concatenate(fixed)
 
 
 def _bracket(e: np.ndarray, widths: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

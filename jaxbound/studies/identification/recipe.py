@@ -46,7 +46,6 @@ APART = (
     ("lags", "observer", "lags is for windows: a fit for an observer looks at every sample"),
     ("average", "observer", "average is for windows: a fit for an observer looks at every sample"),
     *((name, "test", "test = {!r} chooses windows") for name in ("horizon", "lags", "average")),
-    ("follow", "average", "bounds on means and bounds that follow the operating point do not go together"),
     ("follow", "disturbances", "follow widens bounds of sensors alone"),
     ("average", "disturbances", "average is for bounds of sensors alone"),
     ("delay", "direct", "direct inputs act at once"),
@@ -137,8 +136,8 @@ class Recipe:
         follow: how strongly bounds grow with the distance of the inputs from their training: a weight, which
             writes `times`, an expression of the inputs, to the bounds of all outputs; "auto": .1, .3 or 0,
             whichever sees the smallest errors at the bounds that recordings which are left out ask for. 0:
-            bounds are constant. Where tests are chosen each follows by its own weight or not at all, beside
-            constant bounds with means. Not with average or every.
+            bounds are constant. Where tests are chosen each follows by its own weight or not at all. Bounds
+            of means follow, too. Not with every.
         signals: "auto": inputs are chosen, too: one is dropped, or a square or a product of two joins them,
             wherever clearly smaller errors are then seen at the bounds that recordings which are left out ask
             for; `.check.signals` has all that were tried. A product is an input whose column is an

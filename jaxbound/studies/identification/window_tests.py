@@ -4,8 +4,8 @@ errors that it then sees.
 Short windows see jumps, long ones lasting errors; means pay where errors average out and a window is some
 times as long; lags remember as long with fewer samples. Each needs bounds of its own. Tests of windows that
 are as long share their fits; floats (`gauge`) choose, and the test that is taken is proved afterwards. Where
-bounds may follow the operating point, windows without means are tried so, too, by the coefficients that see
-most under constant bounds.
+bounds may follow the operating point, all are tried so, too, by the coefficients that see most under constant
+bounds.
 """
 
 import math
@@ -181,10 +181,8 @@ def tried_tests(training: Training, recipe: Recipe, step: Callable[[float], obje
             same = [test for kind in kinds for test in _judged(problem, kind)]
             tests += same
             best = min(same, key=attrgetter("blindness"), default=None)
-            if best is None or window.average is not None:
-                continue  # errors whose bounds follow have no one bound on their mean
-            if recipe.follow == AUTO and not np.isfinite(best.trial.own).any():
-                continue  # nobody says how strongly
+            if best is None or recipe.follow == AUTO and not np.isfinite(best.trial.own).any():
+                continue  # no error averages out, or nobody says how strongly bounds follow
             for weight in weights:
                 problem = problem.under(GaugeJudge(), recipe.of(window._replace(follow=weight), AUTO))
                 tests += _judged(problem, best.judged.method)
