@@ -52,7 +52,6 @@ def test_an_input_from_which_an_output_is_computed_stays_an_input():
         ({"times": {"T": "2"}}, "names no column"),
         ({"constant_tolerance": True}, "times and constant_tolerance do not go together"),
         ({"uncertainties": [jb.Uncertainty("a", A=[[0.1]])]}, "times and uncertainties do not go together"),
-        ({"averages": {"T": {4: 0.1}}}, "averages and times of 'T' do not go together"),
     ],
 )
 def test_what_does_not_go_together_is_refused(changes, sentence):
@@ -60,8 +59,8 @@ def test_what_does_not_go_together_is_refused(changes, sentence):
         plant(**changes)
 
 
-def test_averages_of_another_output_go_together_with_a_factor():
-    model = plant(averages={"S": {4: 0.05}})
+def test_averages_go_together_with_a_factor_of_the_same_output_and_of_another():
+    model = plant(averages={"T": {4: 0.1}, "S": {4: 0.05}})
     relations = jb.parity_relations(model, 6)
     rng = np.random.default_rng(1)
     u, y = rng.normal(size=(60, 1)), rng.normal(size=(60, 2))

@@ -189,6 +189,7 @@ def _ends_of_sums(c: Document, rounded: Sequence[F]) -> dict[str, Ends]:
     kernel rounds to zero on the way.
     """
     every = _factors_of(c)
+    most = [max(own) for own in zip(*every, strict=True)]
     ends = {}
     for number, (run, terms) in enumerate(zip(c.get("runs", []), runs_of(c), strict=True)):
         if not terms or None in readings_of(c, terms):
@@ -200,7 +201,7 @@ def _ends_of_sums(c: Document, rounded: Sequence[F]) -> dict[str, Ends]:
             rad += abs(weight) * (ROUNDED * c["floor"] + factor * bound / size)
             if measured:
                 middle += weight * (c["all_y"][j][i] - c["offset_y"][i])
-                rad += abs(weight) * (rounded[i] + c["recorder"] * c["noise"][i] * factor)
+                rad += abs(weight) * (rounded[i] + c["recorder"] * c["noise"][i] * most[i])
         ends[f"average{number}"] = middle - rad, middle + rad
     return ends
 

@@ -60,7 +60,6 @@ def test_errors_are_stated_as_seen_under_the_widest_bounds_of_training(rng):
     [
         ({"follow": -0.1}, "follow must be a number >= 0, or auto, not -0.1"),
         ({"follow": "much"}, "follow must be a number >= 0, or auto, not 'much'"),
-        ({"follow": 0.1, "order": 1, "horizon": 5, "average": 4}, "do not go together: leave follow out"),
     ],
 )
 def test_what_cannot_follow_is_refused(rng, options, sentence):

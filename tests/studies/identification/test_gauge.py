@@ -96,7 +96,9 @@ def test_the_largest_factor_is_that_of_a_linear_program(window, mean, rng):
 
 
 @pytest.mark.parametrize(
-    "about", [dict(horizon=7, averages={"y2": {3: 0.07}}), dict(lags=[0, 1, 3, 7])], ids=["means", "lags"]
+    "about",
+    [dict(horizon=7, averages={"y1": {3: 0.05}, "y2": {3: 0.07}}), dict(lags=[0, 1, 3, 7])],
+    ids=["means", "lags"],
 )
 def test_bounds_that_follow_count_as_wide_as_they_are_at_each_sample(about, rng):
     from jaxbound.studies.identification.judging import WindowJudge
