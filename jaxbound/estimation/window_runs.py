@@ -46,8 +46,6 @@ class AverageRows(NamedTuple):
 
 def average_rows(model: LinearSystem, L: int) -> AverageRows:
     """Return the rows of a model's bounded sums that fit into so many samples."""
-    # bounds that follow factors are another number for each run: without them an enclosure is wider
-    model = model.replace(averages=[one for one in model.averages if one.signal not in model.times])
     rows = window_rows(model, L - 1)
     count = len(rows.of_sums)
     bounds = [rounding.round_up(bounded.bound) for bounded in model.averages]
@@ -74,6 +72,7 @@ def bounds_of(runs: AverageRows, rad: np.ndarray) -> np.ndarray:
         rad (L, p, N): of samples, infinite without one.
     """
     seen = np.isfinite(rad)
+    # b times the mean of factors f is at most b + sum |v| (f - 1) noise, wherever b says more than noise
     excess = np.maximum(np.where(seen, rad, 0).astype(np.float64) - runs.noise[:, None], 0)
     # a disturbance acts on the samples behind it
     any_later = np.cumsum(seen.any(1)[::-1], 0)[::-1] > 0

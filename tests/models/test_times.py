@@ -7,6 +7,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.models.modelfile import changed_text, model_text
+from jaxbound.models.operating_point import at_factors
 from jaxbound.recordings.factors import known
 from jaxbound.runs.ask import Ask
 from jaxbound.studies.tuning import tuning
@@ -57,6 +58,12 @@ def test_an_input_from_which_an_output_is_computed_stays_an_input():
 def test_what_does_not_go_together_is_refused(changes, sentence):
     with pytest.raises(ValueError, match=sentence):
         plant(**changes)
+
+
+def test_a_mean_at_one_factor_is_times_that_factor():
+    model = plant(averages={"T": {4: 0.1}, "S": {4: 0.05}})
+    bounds = [one.bound for one in at_factors(model, dict.fromkeys(model.times, 3)).averages]
+    assert bounds == [model.averages[0].bound * 3, model.averages[1].bound]
 
 
 def test_averages_go_together_with_a_factor_of_the_same_output_and_of_another():
