@@ -321,7 +321,7 @@ class HostRows:
         size: Ends = 0
         if not self.exact:
             half = half * SLIGHTLY + own.tiny * (values.terms + float(values.size)) * 8
-            widest = np.max(half, 0) if np.ndim(half) else half
+            widest = np.max(np.atleast_1d(half), 0)
             size = (2 + values.terms / r.averaging(values)) * (reach + widest)
         if not values.measured:
             return Series(-half, half, size)
@@ -334,7 +334,9 @@ class HostRows:
         for i, weights in values.parts:
             factor = self._reading.factor(self._u, i)
             for lag, weight in enumerate(weights):
-                allowed = bound if factor is None else own.factored(bound, factor[lag : lag + runs])
+                allowed = bound
+                if factor is not None:
+                    allowed = own.factored(bound, factor[lag : lag + runs])
                 total = total + own.times(allowed, abs(weight) / values.size)
         return total
 

@@ -197,11 +197,12 @@ def _ends_of_sums(c: Document, rounded: Sequence[F]) -> dict[str, Ends]:
         bound, size = c["averages"][int(run["average"])]["bound"], sum(abs(weight) for *_, weight in terms)
         middle, rad = F(0), ROUNDED * len(terms) * c["floor"]
         for measured, j, i, weight in terms:
-            factor = every[j][i] if measured else F(1)
-            rad += abs(weight) * (ROUNDED * c["floor"] + factor * bound / size)
+            factor = F(1)
             if measured:
+                factor = every[j][i]
                 middle += weight * (c["all_y"][j][i] - c["offset_y"][i])
                 rad += abs(weight) * (rounded[i] + c["recorder"] * c["noise"][i] * most[i])
+            rad += abs(weight) * (ROUNDED * c["floor"] + factor * bound / size)
         ends[f"average{number}"] = middle - rad, middle + rad
     return ends
 
