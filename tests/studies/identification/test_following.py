@@ -70,15 +70,12 @@ def test_what_cannot_follow_is_refused(rng, options, sentence):
 def test_inputs_in_which_an_output_is_recorded_are_not_followed(rng):
     u, y = curved_day(rng, 0.0, 0.5)
     table = pd.DataFrame({"a": u[:, 0], "b": y[:, 0]})
+    about = dict(order=0, inputs="load", outputs="flow", columns={"load": "= a + b", "flow": "b"})
     with pytest.raises(ValueError, match="no input that bounds could follow, none that rests on no output"):
-        jb.fit(
-            table,
-            order=0,
-            inputs="load",
-            outputs="flow",
-            columns={"load": "= a + b", "flow": "b"},
-            follow=0.1,
-        )
+        jb.fit(table, follow=0.1, **about)
+    model = jb.fit(table, follow="auto", **about)
+    assert not model.times and model.check.recipe.follow == "auto"
+    assert any("none that rests on no output: they are constant" in x for x in model.check.sentences)
 
 
 def test_auto_says_why_bounds_stay_constant(rng):
