@@ -161,7 +161,6 @@ def tried_tests(training: Training, recipe: Recipe, step: Callable[[float], obje
         ValueError: the recordings are too short for any of them.
     """
     records, held_out = training.records, recipe.held_out
-    weights = weights_of(recipe.follow)
     kinds = FitProblem.of(training, recipe, GaugeJudge()).kinds
     problems: dict[int, FitProblem] = {}
     tests: list[TriedTest] = []
@@ -178,14 +177,15 @@ def tried_tests(training: Training, recipe: Recipe, step: Callable[[float], obje
             problems[horizon] = FitProblem.of(training, own, GaugeJudge())
         problem = problems[horizon].under(GaugeJudge(), own)
         try:
-            same = [test for kind in kinds for test in _judged(problem, kind)]
-            tests += same
-            best = min(same, key=attrgetter("blindness"), default=None)
-            if best is None or recipe.follow == AUTO and not np.isfinite(best.trial.own).any():
-                continue  # no error averages out, or nobody says how strongly bounds follow
-            for weight in weights:
-                problem = problem.under(GaugeJudge(), recipe.of(window._replace(follow=weight), AUTO))
-                tests += _judged(problem, best.judged.method)
+            constant = len(tests)
+            for kind in kinds:
+                tests += _judged(problem, kind)
+            best = min(tests[constant:], key=attrgetter("blindness"), default=None)
+            # without a part that is left out nobody says how strongly bounds follow
+            if best is not None and (recipe.follow != AUTO or np.isfinite(best.trial.own).any()):
+                for weight in weights_of(recipe.follow):
+                    own = recipe.of(window._replace(follow=weight), AUTO)
+                    tests += _judged(problem.under(GaugeJudge(), own), best.judged.method)
         except ValueError as e:  # too few samples for windows that are so long
             refusal = refusal or e
         step((number + 1) / len(WINDOWS))
