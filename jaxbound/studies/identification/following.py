@@ -31,7 +31,7 @@ they do where they part, but not that infinitely much.
 """
 NOBODY_SAYS = (
     "no recording says, left out, how strongly bounds have to follow the operating point: they are constant; "
-    "a weight does not ask, --recipe follow=0.1, follow=0.1"
+    "a weight does not ask, --recipe follow=0.1"
 )
 SMALL = 0.01
 """Coefficients that are left out, in units of the spread of an input."""
