@@ -184,15 +184,17 @@ def _fitted(
         report = partial(in_part, report, 0.4, 0.6)
     # only now: the choice of signals may have dropped an input
     refuse_unseen(plan.faults, training.inputs, training.outputs)
-    why = hindrance(training) if plan.follow else ""
+    why, sentences = hindrance(training) if plan.follow else "", on_recordings(training, plan)
+    asked = plan
     if why and plan.follow != AUTO:
         raise ValueError(f"{why}: leave follow out")
-    sentences = on_recordings(training, plan)
+    if why:
+        asked, sentences = dataclasses.replace(plan, follow=0), [*sentences, f"{why}: they are constant"]
     can_choose = plan.is_open and left_out_parts(training.records, plan.held_out, WINDOWS[0].horizon + 1)
     if can_choose or plan.test is not None:
-        model = fitted_bank(training, plan, sentences, report)
+        model = fitted_bank(training, asked, sentences, report)
     else:
-        model = fitted(training, plan, sentences, report)
+        model = fitted(training, asked, sentences, report)
     widest = widest_of(training, model.check.used, model.horizon)
     check = dataclasses.replace(model.check, signals=signals, recipe=plan, widest=widest)
     return Fitted(model.replace(alarms=SHOWN), check)
