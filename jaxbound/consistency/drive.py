@@ -139,15 +139,18 @@ def windows(
     outside = outside_test(test)
     if outside is None:
         return judged
-    region, other = outside
-    departure = region.departure(np.asarray(given.u), judged.status == Status.MISSING)
-    at = np.flatnonzero(departure.share > 0)
-    if not len(at):
-        return judged
-    first, samples = stretches_around(at, test.horizon)
-    beyond = Recording(end_to_end(given.u)[samples], end_to_end(given.y)[samples], first[1:])
-    wide = _as_stated(other, beyond, size=size)
-    here = np.searchsorted(samples, at)
+    departure = outside.beyond.region.departure(np.asarray(given.u), judged.status == Status.MISSING)
+    for grade in np.unique(departure.grade[departure.grade >= 0]).tolist():
+        at = np.flatnonzero(departure.grade == grade)
+        first, samples = stretches_around(at, test.horizon)
+        beyond = Recording(end_to_end(given.u)[samples], end_to_end(given.y)[samples], first[1:])
+        wide = _as_stated(outside.test(grade), beyond, size=size)
+        judged = _with_those(judged, wide, at, np.searchsorted(samples, at))
+    return judged
+
+
+def _with_those(judged: Judged, others: Judged, at: np.ndarray, here: np.ndarray) -> Judged:
+    """Return verdicts where those of windows `at`, counted end to end, are those that others have `here`."""
 
     def both(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
         flat = np.array(mine).reshape(*mine.shape[: theirs.ndim - 1], -1)  # words of relations stand first
@@ -155,10 +158,10 @@ def windows(
         return flat.reshape(mine.shape)
 
     words = judged.words
-    if words is not None and wide.words is not None:
-        words = both(words, wide.words)
-    columns = {name: both(numbers, wide.columns[name]) for name, numbers in judged.columns.items()}
-    status, margin = both(judged.status, wide.status), both(judged.margin, wide.margin)
+    if words is not None and others.words is not None:
+        words = both(words, others.words)
+    columns = {name: both(numbers, others.columns[name]) for name, numbers in judged.columns.items()}
+    status, margin = both(judged.status, others.status), both(judged.margin, others.margin)
     return judged._replace(status=status, margin=margin, words=words, columns=columns)
 
 

@@ -1,12 +1,13 @@
 """The region of training: between which ends each input of a model moved in the data that it was fitted to.
 
 Bounds that were found from data hold where the data were. A window that reads inputs outside of them has
-bounds that are wider by a factor of the model (`consistency.extrapolated`); what is said of it rests on
-extrapolation.
+bounds that are wider by a factor of the model, and by more the farther outside they lie
+(`consistency.extrapolated`); what is said of it rests on extrapolation.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -19,6 +20,10 @@ from jaxbound.models.window import input_lags
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.objects import readable
 
+GRADES = Fraction(1, 4), Fraction(1, 2), Fraction(1)
+"""Widths of its range that an input lies outside, at most: bounds grow by this share, and by no more than the
+last. An air handler of two days needed three times its bounds on a third, at .4 widths, and no more at .1.
+"""
 ROUNDED = 1e-6
 """Share of a range that is no excess: computed signals and narrower floats round."""
 UNIT = 2.0**-23
@@ -68,6 +73,11 @@ class Departure(NamedTuple):
         """The names of `by`, which is -1 where none is meant: that stands first."""
         return ("", *self.region.inputs)
 
+    @property
+    def grade(self) -> np.ndarray:
+        """(..., T): the number of that of GRADES in which a window lies, -1 inside."""
+        return np.where(self.share > 0, _grade(self.share), -1)
+
     def words(self, at: int, test: str = "") -> str:
         """Return the words on one of (N,) windows, "" of one inside. test: see `Region.words`."""
         if not self.share[at] > 0:
@@ -82,8 +92,8 @@ class Region:
 
     Fields: inputs, units: of all inputs. lo, hi: (m,) their ends, NaN where none are stated. horizon: windows
     have horizon + 1 samples, of which they read the first `lags` of u. Those of an observer, which rests on
-    all samples before, are of the step that led to the sample. wider: {test: how many times as wide its
-    bounds outside are}; "" for the name of a single one.
+    all samples before, are of the step that led to the sample. wider: {test: its `extrapolation`, 1 where its
+    bounds outside are as inside}; "" for the name of a single one.
     """
 
     inputs: tuple[str, ...]
@@ -153,19 +163,19 @@ class Region:
             'valve at 1, training up to 0.39'
         """
         lo, hi = float(self.lo[by]), float(self.hi[by])
-        side, end = "up to", hi
+        side, end, over = "up to", hi, reading - hi
         if reading < lo:
-            side, end = "from", lo
+            side, end, over = "from", lo, lo - reading
         if lo == hi:
             side = "always at"
         unit = f" {self.units[by]}".rstrip()
         return (
             f"{self.inputs[by]} at {_apart(reading, end)}{unit}, training {side} {_apart(end, reading)}{unit}"
-            f"{self._wider_words(test)}"
+            f"{self._wider_words(test, over / (hi - lo) if hi > lo else np.inf)}"
         )
 
-    def _wider_words(self, test: str) -> str:
-        """Return the words on bounds outside, "" where they are as inside."""
+    def _wider_words(self, test: str, share: float) -> str:
+        """Return the words on bounds so many widths outside, "" where they are as inside."""
         factors = set(self.wider.values())
         if test in self.wider:
             factors = {self.wider[test]}
@@ -173,6 +183,7 @@ class Region:
         if most == 1:
             return ""
         at_most = "up to " * (len(factors) > 1)
+        most *= 1 + float(GRADES[_grade(share)])
         return f", where bounds are {at_most}{most:.3g} times as wide"
 
     @cached_property
@@ -202,8 +213,35 @@ class Region:
         return share, np.where(below > above, low, high)
 
 
+def factors_outside(model: LinearSystem) -> tuple[Fraction, ...]:
+    """Return how many times as wide the bounds of a model are in each of GRADES; none: as inside."""
+    least = model.extrapolation or 1
+    if least == 1:
+        return ()
+    return tuple(least * (1 + grade) for grade in GRADES)
+
+
+def text_outside(model: LinearSystem) -> str:
+    """Return how wide the bounds of a model are outside, in words.
+
+    Example:
+        >>> text_outside(LinearSystem([[0.5]], [[1]], [[1]], extrapolation=1.2))
+        '1.2 times as wide, and more the farther outside, up to 2.4 times'
+    """
+    first, *_, last = map(float, (model.extrapolation or 1, *factors_outside(model)))
+    text = f"{first:.6g} times as wide"
+    if factors_outside(model):
+        text += f", and more the farther outside, up to {last:.6g} times"
+    return text
+
+
+def _grade(share: np.ndarray | float) -> np.ndarray:
+    """Return the number of that of GRADES in which excesses in widths lie."""
+    return np.searchsorted(np.array(GRADES[:-1], float), share)
+
+
 def _wider(test: Reach) -> float:
-    """Return how many times as wide the bounds of a test are outside; those of an observer stay."""
+    """Return the `extrapolation` of a test; bounds of an observer stay."""
     model = test.model
     if test.remembers or not isinstance(model, LinearSystem):
         return 1.0
