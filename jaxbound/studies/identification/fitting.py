@@ -20,7 +20,7 @@ from jaxbound.models.arguments import table_argument, taking_fields
 from jaxbound.models.conversion import ModelLike
 from jaxbound.recordings.expressions import with_angles
 from jaxbound.recordings.means import every_step
-from jaxbound.recordings.recordingformat import Stated, with_format
+from jaxbound.recordings.recordingformat import RecordingFormat, Stated, with_format
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification.adding import MOST, Widened, widen
@@ -145,6 +145,11 @@ def fit(
         return widen(add, recordings, MOST if most is None else most, progress)
     if most is not None:
         raise ValueError("most is for add: safety=1.5 makes bounds of a new model wider")
+    for field, value in fields.items():
+        if field in RecordingFormat.__dataclass_fields__:
+            raise ValueError(
+                f"{field} is how recordings are read, no way to fit: recording={{{field!r}: {value!r}}}"
+            )
     plan = recipe_of(recipe, fields)
     columns = table_argument("columns", columns, "{'Q': 'Heater 1'}")
     units = table_argument("units", units, "{'T': 'degC'}")
