@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable
 from datetime import datetime
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,6 +44,10 @@ FORMATS = [f"{date}{gap}{clock}" for date in DATES for gap in (" ", "T") for clo
 OF_A_DAY = "%[dDjuwcxs]|%-d"  # a format with one of these has a date
 MINUTES = "%M:%S"  # as Excel writes a time that it shows as 08:30.0
 FORMATS += [*DATES[:-1], *CLOCKS[:4], MINUTES]
+BY_SIGNS: dict[str, list[str]] = {}
+"""{what stands between the letters and digits of a text: the formats of such texts}."""
+for _form in FORMATS:
+    BY_SIGNS.setdefault(re.sub(r"%.|[\sT]", "", _form), []).append(_form)
 STATING = " (--recording, or [recording] of the model file)"
 LONGEST = 64  # letters of a time stamp
 DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
@@ -175,7 +180,8 @@ def _in_formats(
     """
     first = tidy.texts[0].as_py()
     read = []
-    for form in FORMATS:
+    # strptime compiles a pattern for each of its calls: it is asked of few of 170 formats
+    for form in BY_SIGNS.get(re.sub(r"[\w\s]", "", first), ()):
         # a fraction is one of a second: none of 08:30.5 is an hour
         if form.startswith(date) and _has_format(first, form) and (not tidy.fine or "%S" in form):
             read.append((form, _stamps_in(tidy.texts, tidy.more, form, where)))
@@ -255,6 +261,7 @@ def instant_of(time: object) -> float:
     return round(float((stamps[0] - EPOCH) / SECOND), 6)
 
 
+@lru_cache(1024)  # the rows that tell where a header stands are looked at once for each row it may be
 def stamp_kind(cell: str | None, form: str = "") -> str:
     """Return the kind of a cell: "stamp" for a time stamp of any format, "day" or "clock" for half of one,
     "" for none.
