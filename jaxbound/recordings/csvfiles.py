@@ -151,8 +151,9 @@ def _wide(path: Path, model: SignalModel, how: RecordingFormat) -> tuple[Opened,
     opened, head = _opened(path, how)
     if not how.long:
         return opened, head, how
-    data = pivoted(opened, head, model, how)
-    return partial(BytesIO, data), head_of(path, data[:ENOUGH], "utf-8"), how.wide
+    data, hints = pivoted(opened, head, model, how)
+    wide = head_of(path, data[:ENOUGH], "utf-8")._replace(hints=hints)
+    return partial(BytesIO, data), wide, how.wide
 
 
 def _header_hint(head: Head, how: RecordingFormat) -> str:
@@ -215,7 +216,7 @@ def _taken(
         if is_plain and taken.get("decimal", sign) != sign and (x != np.floor(x)).any():
             return how
     if written is not None and stamps is not None and cells.times is not None:
-        taken["time_format"] = order_of(written, stamps)
+        taken["time_format"] = order_of(written, stamps, how)
     return RecordingFormat.of({k: x for k, x in taken.items() if x} | how.stated)
 
 

@@ -4,6 +4,7 @@ Cells stay the texts that they are, so that all that is known of cells of other 
 """
 
 from collections.abc import Iterable
+from functools import partial
 from io import BytesIO
 
 import numpy as np
@@ -20,9 +21,11 @@ ALIKE = 0.75
 """Share of all times that each tag needs, where nothing is said of how long a value stands."""
 
 
-def pivoted(opened: Opened, head: Head, model: SignalModel, how: RecordingFormat) -> bytes:
-    """Return the lines of a file with a column for each tag that the model names, or for all where it names
-    none.
+def pivoted(
+    opened: Opened, head: Head, model: SignalModel, how: RecordingFormat
+) -> tuple[bytes, tuple[str, ...]]:
+    """Return (the lines of a file with a column for each tag that the model names, or for all where it names
+    none; hints for its owner).
 
     Args:
         opened: opens the lines. head: the first of them. how: what is stated of them, with `long`.
@@ -37,6 +40,11 @@ def pivoted(opened: Opened, head: Head, model: SignalModel, how: RecordingFormat
         columns["time"] = model.columns["time"]
     reader = reader_of(head, Signals((), (value,), columns), how.wide)
     cells = reader.written(opened)
+    if cells is None or how.skip or how.comment:
+        sifted = reader.sifted(opened)
+        if sifted is not None:
+            opened = partial(BytesIO, sifted)
+            cells = reader.written(opened)
     if cells is None:
         raise ValueError(f"the file has a row a tag: {reader.trouble_in(opened)}")
     if reader.plan.time is None:
@@ -63,7 +71,8 @@ def pivoted(opened: Opened, head: Head, model: SignalModel, how: RecordingFormat
     _refuse_unequal(table, wanted, how)
     names = [reader.plan.time, *wanted]
     body = [texts([stamps[k] for k in order]), *(_taken(cells[value], column) for column in table.T)]
-    return _as_lines(names, body, reader.layout.delimiter)
+    lines = _as_lines(names, body, reader.layout.delimiter)
+    return lines, (*reader.layout.hints, *reader.left_hints)
 
 
 def _coded(cells: Arrow) -> tuple[list[str], np.ndarray]:

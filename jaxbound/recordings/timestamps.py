@@ -5,6 +5,7 @@ reader.
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ import numpy as np
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.recordingformat import UNSTATED, RecordingFormat
 from jaxbound.recordings.seams import TOLERATED_STEP
-from jaxbound.recordings.tidystamps import Tidied, elapsed, localized, tidied, zoned
+from jaxbound.recordings.tidystamps import DAY, Tidied, elapsed, localized, tidied, zoned
 from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
@@ -109,9 +110,9 @@ def parse_stamps(
             hint = f"{hint}; they are read as hours and minutes: write 0:08:30 for minutes and seconds"
         return _since_first(stamps) + _rounds(stamps, 86400.0), None, hint
     hint = ""
-    if len(smoothest) > 1 and stamps[0] != smoothest[1][1][0]:
-        other = _order_in_words(smoothest[1][0])
-        hint = f"{like} are read as {_order_in_words(form)}; they could also be {other}"
+    if len(smoothest) > 1 and (stamps != smoothest[1][1]).any():
+        other = order_in_words(smoothest[1][0])
+        hint = f"{like} are read as {order_in_words(form)}; they could also be {other}"
     return _since_first(stamps), stamps, hint
 
 
@@ -200,29 +201,28 @@ def _in_formats(
     return complete
 
 
-def order_of(cells: "pa.Array", stamps: np.ndarray) -> str:
+def order_of(cells: "pa.Array", stamps: np.ndarray, how: RecordingFormat = UNSTATED) -> str:
     """Return the format of the dates of texts in which day and month could change places, "" of others.
 
     Args:
-        cells: (N,) texts. stamps: (N,) as they were read.
+        cells: (N,) texts. stamps: (N,) as they were read. how: what is stated of them.
     """
+    ends, read = cells.take([0, len(cells) - 1]), stamps[[0, -1]]
     dates = []
-    for form in FORMATS:
-        date = form.split("T%")[0].split(" %H")[0].split(" %I")[0]
+    for date in DATES:
         swapped = date.replace("%d", "%_").replace("%m", "%d").replace("%_", "%m")
         if date == swapped or swapped not in DATES:
             continue
-        if _is_read_as(cells[0], form, stamps[0]) and _is_read_as(cells[-1], form, stamps[-1]):
+        try:
+            _, found, _ = parse_stamps(ends, None, str, replace(how, time_format=date))
+        except ValueError:
+            continue
+        # the last one may stand in an hour that a clock has twice
+        if found is not None and (np.abs(found - read) < DAY).all():
             dates.append(date)
     if len(dates) != 1:
         return ""
     return dates[0]
-
-
-def _is_read_as(cell: "pa.Scalar", form: str, stamp: np.datetime64) -> bool:
-    """Return whether a text has a format, and is this time by it."""
-    text = cell.as_py().strip()
-    return _has_format(text, form) and bool(np.datetime64(datetime.strptime(text, form)) == stamp)
 
 
 def instant_of(time: object) -> float:
@@ -482,7 +482,8 @@ def _rounds(stamps: np.ndarray, length: float) -> np.ndarray:
     return length * np.concatenate([[0], np.cumsum(back)])
 
 
-def _order_in_words(form: str) -> str:
+def order_in_words(form: str) -> str:
+    """Return the order of day, month and year in a format."""
     for code, word in {"%Y": "year", "%y": "year", "%m": "month", "%d": "day", "%b": "month"}.items():
         form = form.replace(code, word)
     return form.split(" %")[0].split("T%")[0]
