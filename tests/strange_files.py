@@ -1,5 +1,5 @@
-"""Files as loggers, historians and spreadsheets write them, drawn: a healthy plant, how stamps and numbers are
-written, and what stands around the samples; with the samples that are read of them if all is well.
+"""Files as loggers, historians and spreadsheets write them, drawn: a healthy plant, how stamps and numbers
+are written, and what stands around the samples; with the samples that are to be read of them.
 """
 
 import datetime
@@ -12,8 +12,10 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 import jaxbound as jb
+from jaxbound.recordings.recordingformat import with_format
 
 COUNT = 40
+DAY = datetime.timedelta(days=1)
 BERLIN, UTC = ZoneInfo("Europe/Berlin"), datetime.UTC
 BEGINS = [
     datetime.datetime(2026, 3, 13),
@@ -27,7 +29,7 @@ BEGINS = [
 
 
 class Kind(NamedTuple):
-    """What the numbers of a plant are. Fields: scale, shift: of temp; on: heater at 1, where it is a switch."""
+    """The numbers of a plant. Fields: scale, shift: of temp; on: of heater at 1; levels: of heater."""
 
     scale: int = 1
     shift: int = 0
@@ -100,8 +102,8 @@ class Stamp(NamedTuple):
     """How a time is written.
 
     Fields: form: for strftime of a time that names no zone, or Moment -> text, or several; least: s, a
-    multiple of which dt is; names: of the columns; is_number: with the decimal sign of the dialect; fits: `fit` reads
-    it without dt; from_table: a table of the texts is read as the file.
+    multiple of which dt is; names: of the columns; is_number: with the decimal sign of the dialect; fits:
+    `fit` reads it without dt.
     """
 
     form: str | Callable
@@ -109,7 +111,6 @@ class Stamp(NamedTuple):
     names: tuple[str, ...] = ("time",)
     is_number: bool = False
     fits: bool = True
-    from_table: bool = True
 
     def cells(self, moment):
         """Return the cells of a time."""
@@ -120,9 +121,13 @@ class Stamp(NamedTuple):
 
 
 def clock24(m):
-    before = m.utc - datetime.timedelta(days=1)
+    before = m.utc - DAY
     is_midnight = (m.utc.hour, m.utc.minute) == (0, 0)
-    return f"{before:%Y-%m-%d} 24:00:{m.utc:%S}" if is_midnight and not m.utc.second else f"{m.utc:%Y-%m-%d %H:%M:%S}"
+    return (
+        f"{before:%Y-%m-%d} 24:00:{m.utc:%S}"
+        if is_midnight and not m.utc.second
+        else f"{m.utc:%Y-%m-%d %H:%M:%S}"
+    )
 
 
 MONTHS = {
@@ -159,7 +164,9 @@ STAMPS = {
     "two digits, slashes": Stamp("%d/%m/%y %H:%M:%S"),
     "American": Stamp("%m/%d/%Y %I:%M:%S%p"),
     "American, blank": Stamp("%m/%d/%Y %I:%M:%S %p"),
-    "American, one digit": Stamp(lambda m: f"{m.utc.month}/{m.utc.day}/{m.utc:%Y} {m.utc.hour}:{m.utc:%M}", 60),
+    "American, one digit": Stamp(
+        lambda m: f"{m.utc.month}/{m.utc.day}/{m.utc:%Y} {m.utc.hour}:{m.utc:%M}", 60
+    ),
     "English": Stamp("%d/%m/%Y %H.%M.%S"),
     "English, half days": Stamp("%d/%m/%Y %I:%M:%S %p"),
     "historian": Stamp("%d-%b-%y %H:%M:%S"),
@@ -186,7 +193,9 @@ STAMPS = {
     "epoch ms": Stamp(lambda m: f"{m.epoch}000", is_number=True),
     "epoch ns": Stamp(lambda m: f"{m.epoch}000000000", is_number=True),
     "seconds": Stamp(lambda m: str(m.since), is_number=True),
-    "pandas": Stamp(lambda m: f"{m.since // 86400} days {datetime.datetime(1, 1, 1) + (m.utc - m.begin):%H:%M:%S}"),
+    "pandas": Stamp(
+        lambda m: f"{m.since // 86400} days {datetime.datetime(1, 1, 1) + (m.utc - m.begin):%H:%M:%S}"
+    ),
     "elapsed": Stamp(lambda m: f"{30 + m.since // 3600}:{m.since // 60 % 60:02d}:{m.since % 60:02d}"),
     "ISO span": Stamp(lambda m: f"PT{m.since}S"),
     ".NET span": Stamp(lambda m: f"1.{m.since // 3600:02d}:{m.since // 60 % 60:02d}:{m.since % 60:02d}"),
@@ -197,8 +206,11 @@ STAMPS = {
     "clock and day": Stamp(lambda m: [f"{m.utc:%H:%M:%S}", f"{m.utc:%Y-%m-%d}"], names=("Time", "Date")),
     "hours": Stamp(lambda m: f"{m.since / 3600:.8f}", names=("Time [h]",), is_number=True),
     "minutes": Stamp(lambda m: f"{m.since // 60}", 60, names=("t (min)",), is_number=True),
-    "spreadsheet": Stamp(lambda m: f"{(m.utc - datetime.datetime(1899, 12, 30)) / datetime.timedelta(days=1):.10f}",
-        names=("time [d]",), is_number=True),
+    "spreadsheet": Stamp(
+        lambda m: f"{(m.utc - datetime.datetime(1899, 12, 30)) / DAY:.10f}",
+        names=("time [d]",),
+        is_number=True,
+    ),
     "blanks around": Stamp("  %Y-%m-%d %H:%M:%S "),
 } | {f"{language} month": Stamp(month_in(language, "%d. %b %Y %H:%M:%S")) for language in MONTHS}
 
@@ -261,7 +273,9 @@ DIALECTS = {
     "thousands": Dialect(";", german_thousands, kind=LARGE),
     "American thousands": Dialect(",", lambda x: f"{x:,.1f}", True, LARGE),
     "Swiss thousands": Dialect(";", lambda x: f"{x:,.1f}".replace(",", "'"), kind=LARGE),
-    "French thousands": Dialect(";", lambda x: f"{x:,.1f}".replace(",", "\u202f").replace(".", ","), kind=LARGE),
+    "French thousands": Dialect(
+        ";", lambda x: f"{x:,.1f}".replace(",", "\u202f").replace(".", ","), kind=LARGE
+    ),
     "whole thousands, stated": Dialect(
         ";", lambda x: f"{x:,.0f}".replace(",", "."), kind=LARGE, how={"thousands": "."}
     ),
@@ -365,7 +379,9 @@ def units(file, rng):
 
 
 def dimensionless(file, rng):
-    file.below.append(file.line(["1" if n == "heater" else "degC" if n == "temp" else "s" for n in file.names]))
+    file.below.append(
+        file.line(["1" if n == "heater" else "degC" if n == "temp" else "s" for n in file.names])
+    )
     file.said.append("holds no samples")
 
 
@@ -375,7 +391,9 @@ def preamble(file, rng):
 
 
 def toa5(file, rng):
-    file.above.append(file.line(["TOA5", "Site", "CR1000", "1234", "CR1000.Std.31", "CPU:a.CR1", "4242", "Table1"]))
+    file.above.append(
+        file.line(["TOA5", "Site", "CR1000", "1234", "CR1000.Std.31", "CPU:a.CR1", "4242", "Table1"])
+    )
     file.below += [file.filled("TS", "pct", "Deg C"), file.filled("", "Smp", "Avg")]
     file.said += ["holds the names of the columns: 1 row above it", "hold no samples"]
 
@@ -389,13 +407,17 @@ def long_preamble(file, rng):
     file.said.append("12 rows above it")
 
 
-AGAIN = -1
-"""The number of a row that repeats the one before."""
+NO_SAMPLE = -1
+"""The number of a row of the logger that is none of a sample of its own."""
 
 
 def place(file, rng, behind=1):
     """Return where a row stands that nothing happened to yet."""
-    free = [i for i, (k, _) in enumerate(file.rows) if k not in (None, AGAIN) and 2 <= i < len(file.rows) - behind]
+    free = [
+        i
+        for i, (k, _) in enumerate(file.rows)
+        if k not in (None, NO_SAMPLE) and 2 <= i < len(file.rows) - behind
+    ]
     return int(rng.choice(free))
 
 
@@ -413,7 +435,7 @@ def all_above_again(file, rng):
 def blank_cells(file, rng):
     for _ in range(2):
         file.rows.insert(place(file, rng), (None, file.filled().replace('"', "")))
-    file.said.append("2 rows hold no cell")
+    file.said.append(" hold no cell")
 
 
 def blank_lines(file, rng):
@@ -427,42 +449,42 @@ def no_time(file, rng):
     cells = [*cells]
     for name in file.stamp.names:
         cells[file.names.index(name)] = ""
-    file.rows[at] = None, file.line(cells)
+    file.rows[at] = NO_SAMPLE, cells
     file.lost.append(k)
-    file.said.append("holds no time")
+    file.said.append("no time")
 
 
 def power_cut(file, rng):
     at = place(file, rng)
     k, cells = file.rows[at]
     text = file.line(cells)
-    file.rows[at] = None, text[:5] + "\0" * 64 + text[9:]
+    file.rows[at] = NO_SAMPLE, text[:5] + "\0" * 64 + text[9:]
     file.lost.append(k)
-    file.said.append("holds zero bytes")
+    file.said.append("zero bytes")
 
 
 def zero_line(file, rng):
     file.rows.insert(place(file, rng), (None, "\0" * 512))
-    file.said.append("holds zero bytes")
+    file.said.append("zero bytes")
 
 
 def logger_off(file, rng):
     at = place(file, rng, 12)
     for k, _ in file.rows[at : at + 9]:
-        if k not in (None, AGAIN):
+        if k not in (None, NO_SAMPLE):
             file.lost.append(k)
-    file.rows[at : at + 9] = [row for row in file.rows[at : at + 9] if row[0] is None]
+    file.rows[at : at + 9] = [row for row in file.rows[at : at + 9] if row[0] in (None, NO_SAMPLE)]
 
 
 def row_twice(file, rng):
     at = place(file, rng)
-    file.rows.insert(at, (AGAIN, file.rows[at][1]))
-    file.said.append("repeat")
+    file.rows.insert(at, (NO_SAMPLE, file.rows[at][1]))
+    file.said.append("of another row" if file.dialect.long else "repeat")
 
 
 def all_twice(file, rng):
-    file.rows = [one for row in file.rows for one in (row, (AGAIN, row[1]))]
-    file.said.append("repeat")
+    file.rows = [one for row in file.rows for one in (row, (NO_SAMPLE, row[1]))]
+    file.said.append("of another row" if file.dialect.long else "repeat")
 
 
 def no_number(file, rng):
@@ -481,14 +503,14 @@ def footer(file, rng):
 
 
 def footer_of_cells(file, rng):
-    file.behind += [file.filled("Average", "1", "2"), file.filled("Max", "3", "4")]
+    for word in ("Average", "Max"):
+        file.behind.append(file.line([word if name in file.stamp.names else "1" for name in file.names]))
     file.said.append("2 rows hold no sample, behind")
 
 
 def footer_without_time(file, rng):
     file.behind.append(file.line(["" if n in file.stamp.names else "1" for n in file.names]))
-    file.said.append("hold no time" if "holds no time" in file.said else "holds no time")
-    file.said = [s for s in file.said if s != "holds no time" or "hold no time" not in file.said]
+    file.said.append("no time")
 
 
 def delimiter_more(file, rng):
@@ -497,7 +519,7 @@ def delimiter_more(file, rng):
 
 
 def cut(file, rng):
-    last = next(i for i in reversed(range(len(file.rows))) if file.rows[i][0] not in (None, AGAIN))
+    last = next(i for i in reversed(range(len(file.rows))) if file.rows[i][0] not in (None, NO_SAMPLE))
     k, cells = file.rows[last]
     del file.rows[last + 1 :]
     file.lost.append(k)
@@ -520,7 +542,7 @@ INSIDE = (
 )
 BEHIND = (footer, footer_of_cells, footer_without_time, delimiter_more, cut, all_twice)
 DAMAGE = (no_damage, *ABOVE, *INSIDE, *BEHIND)
-OF_LONG = (no_damage, blank_lines, preamble, footer)
+OF_LONG = (no_damage, blank_lines, preamble, footer, row_twice, all_twice, separator, zero_line)
 
 
 class Drawn(NamedTuple):
@@ -528,7 +550,7 @@ class Drawn(NamedTuple):
 
     Fields: data: its bytes; model: of the plant, with what is stated of the format; relations; dialect,
     stamp; kept: numbers of its samples; moments, u, y: of all; said: what sentences say; about: how it was
-    drawn; texts: {column: cells} of all.
+    drawn; texts: {column: cells} of all; undamaged: temp where nothing is missing.
     """
 
     data: bytes
@@ -543,6 +565,7 @@ class Drawn(NamedTuple):
     said: list
     about: str
     texts: Mapping
+    undamaged: np.ndarray
 
 
 def draw(rng, stamp, dialect, damages, dt=60, begin=BEGINS[0]):
@@ -555,23 +578,36 @@ def draw(rng, stamp, dialect, damages, dt=60, begin=BEGINS[0]):
     texts = {name: [cells[i] for _, cells in file.rows] for i, name in enumerate(file.names)}
     for damage in damages:
         damage(file, rng)
-    y = y.copy()
+    undamaged = y.copy()
     y[file.missing] = np.nan
-    if how.on_change:
-        pass
     kept = np.setdiff1d(np.arange(COUNT), file.lost)
     model = plant(how.kind, dt)
-    model = model.replace(columns=jb.recordings.recordingformat.with_format({}, how.how))
-    return Drawn(file.data(), model, windows(how.kind, dt), how, form, kept, moments, u, y, file.said, about, texts)
+    model = model.replace(columns=with_format({}, how.how))
+    return Drawn(
+        file.data(),
+        model,
+        windows(how.kind, dt),
+        how,
+        form,
+        kept,
+        moments,
+        u,
+        y,
+        file.said,
+        about,
+        texts,
+        undamaged,
+    )
 
 
-def drawn_names(rng, dialect=None):
+def drawn_names(rng, dialect, dt):
     """Return random arguments of `draw`."""
-    dialect = dialect or str(rng.choice(list(DIALECTS)))
-    dt = int(rng.choice([1, 60, 900]))
-    fitting = [name for name, stamp in STAMPS.items() if dt % stamp.least == 0]
+    how = DIALECTS[dialect]
+    # times in quotes with commas for decimals are refused
+    is_refused = how.delimiter == "," == how.decimal
+    fitting = [n for n, s in STAMPS.items() if dt % s.least == 0 and not (is_refused and s.is_number)]
     damages = [rng.choice(group) for group in (ABOVE, INSIDE, INSIDE, BEHIND) if rng.random() < 0.35]
-    if DIALECTS[dialect].long or DIALECTS[dialect].on_change:
+    if how.long or how.on_change:
         damages = [rng.choice(OF_LONG)]
     if all_twice in damages:
         damages = [all_twice]

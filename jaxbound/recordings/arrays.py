@@ -23,7 +23,7 @@ from jaxbound.recordings.factors import (
     with_factors,
 )
 from jaxbound.recordings.notations import noted_numbers
-from jaxbound.recordings.oddcells import OddCells, error_hints, odd_of_frame, refuse_odd, unsaid_hints
+from jaxbound.recordings.oddcells import OddCells, error_hints, odd_of_frame, refuse_odd, texts_of_frame, unsaid_hints
 from jaxbound.recordings.recordingformat import format_of
 from jaxbound.recordings.selection import Column, column_for, expressions_of, period
 from jaxbound.recordings.signals import Named
@@ -256,6 +256,8 @@ def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, np.ndarra
         for column in _text_columns(frame, model):
             column_cells = cleaned[name][column]
             numbers, cells = odd_of_frame(column_cells)
+            if how.decimal == "," or how.thousands:  # pandas reads 35.010 as decimals all the same
+                cells = texts_of_frame(column_cells)
             if not len(cells.rows):
                 continue
             cells = cells.without(how.missing)

@@ -216,7 +216,7 @@ def _taken(
         if is_plain and taken.get("decimal", sign) != sign and (x != np.floor(x)).any():
             return how
     if written is not None and stamps is not None and cells.times is not None:
-        taken["time_format"] = order_of(written, stamps, how)
+        taken["time_format"] = order_of(written, stamps)
     return RecordingFormat.of({k: x for k, x in taken.items() if x} | how.stated)
 
 

@@ -63,14 +63,11 @@ class Cells(NamedTuple):
 
     @property
     def repeated(self) -> np.ndarray:
-        """(N - 1,) bool: whether each row but the first holds what the row before it does."""
+        """(N - 1,) bool: whether each row but the first holds the numbers and texts of the row before it."""
         same = np.ones(max(self.rows - 1, 0), bool)
         for x in self.columns.values():
             missing = x != x  # NaN; a text is what it is
             same &= (x[1:] == x[:-1]) | (missing[1:] & missing[:-1])
-        for cells in self.odd.values():  # words are not compared
-            same[np.maximum(cells.rows - 1, 0)] = False
-            same[np.minimum(cells.rows, len(same) - 1)] = False
         return same
 
     def kept(self, rows: np.ndarray) -> "Cells":

@@ -664,7 +664,7 @@ class PipeText(Stream):
             period = self.dt
         time, stamps, hint = parse_stamps(every, period, lambda k: "", self._format)
         if stamps is not None and not hint and not self._format.time_format:
-            self.order = order_of(every, stamps, self._format)
+            self.order = order_of(every, stamps)
             if self.order and self.hinted:
                 shown = f"time stamps like {cells[0].as_py()!r} show their order"
                 self.complain("hint", f"{shown}: they are {order_in_words(self.order)}")

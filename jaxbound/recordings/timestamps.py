@@ -5,7 +5,6 @@ reader.
 import math
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from datetime import datetime
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -45,6 +44,8 @@ FORMATS = [f"{date}{gap}{clock}" for date in DATES for gap in (" ", "T") for clo
 OF_A_DAY = "%[dDjuwcxs]|%-d"  # a format with one of these has a date
 MINUTES = "%M:%S"  # as Excel writes a time that it shows as 08:30.0
 FORMATS += [*DATES[:-1], *CLOCKS[:4], MINUTES]
+ORDERS = ("%m/%d/%Y", "%d/%m/%Y", "%m-%d-%Y", "%d-%m-%Y", "%m/%d/%y", "%d/%m/%y")
+"""Dates in which day and month could change places."""
 BY_SIGNS: dict[str, list[str]] = {}
 """{what stands between the letters and digits of a text: the formats of such texts}."""
 for _form in FORMATS:
@@ -182,7 +183,7 @@ def _in_formats(
     first = tidy.texts[0].as_py()
     read = []
     # strptime compiles a pattern for each of its calls: it is asked of few of 170 formats
-    for form in BY_SIGNS.get(re.sub(r"[\w\s]", "", first), ()):
+    for form in BY_SIGNS.get(_signs(first), ()):
         # a fraction is one of a second: none of 08:30.5 is an hour
         if form.startswith(date) and _has_format(first, form) and (not tidy.fine or "%S" in form):
             read.append((form, _stamps_in(tidy.texts, tidy.more, form, where)))
@@ -201,28 +202,31 @@ def _in_formats(
     return complete
 
 
-def order_of(cells: "pa.Array", stamps: np.ndarray, how: RecordingFormat = UNSTATED) -> str:
+def order_of(cells: "pa.Array", stamps: np.ndarray) -> str:
     """Return the format of the dates of texts in which day and month could change places, "" of others.
 
     Args:
-        cells: (N,) texts. stamps: (N,) as they were read. how: what is stated of them.
+        cells: (N,) texts. stamps: (N,) as they were read.
     """
-    ends, read = cells.take([0, len(cells) - 1]), stamps[[0, -1]]
-    dates = []
-    for date in DATES:
-        swapped = date.replace("%d", "%_").replace("%m", "%d").replace("%_", "%m")
-        if date == swapped or swapped not in DATES:
-            continue
-        try:
-            _, found, _ = parse_stamps(ends, None, str, replace(how, time_format=date))
-        except ValueError:
-            continue
-        # the last one may stand in an hour that a clock has twice
-        if found is not None and (np.abs(found - read) < DAY).all():
-            dates.append(date)
+    ends = cells.take([0, len(cells) - 1])
+    if not re.match(r"\D*\d\d?[-/]\d", ends[0].as_py()):
+        return ""
+    dates = set()
+    for tidy in (_split_fraction(ends), tidied(ends)):
+        first, last = tidy.texts.to_pylist()
+        for form in BY_SIGNS.get(_signs(first or ""), ()):
+            date = form.split("T%")[0].split(" %H")[0].split(" %I")[0]
+            is_read_so = _is_read_as(first, form, stamps[0]) and _is_read_as(last, form, stamps[-1])
+            if date in ORDERS and is_read_so:
+                dates.add(date)
     if len(dates) != 1:
         return ""
-    return dates[0]
+    return dates.pop()
+
+
+def _is_read_as(text: str, form: str, stamp: np.datetime64) -> bool:
+    """Return whether a text has a format, and is this day by it, in whatever zone."""
+    return _has_format(text, form) and bool(abs(np.datetime64(datetime.strptime(text, form)) - stamp) < DAY)
 
 
 def instant_of(time: object) -> float:
@@ -438,6 +442,11 @@ def _far(stamps: np.ndarray) -> np.ndarray:
     """Return (N,) bool: whether ns since 1970 cannot tell the year of datetime64 of any unit."""
     years = stamps.astype("datetime64[Y]").astype(np.int64) + 1970
     return np.asarray(~np.isnat(stamps) & ((years < YEARS[0]) | (years > YEARS[1])))
+
+
+def _signs(text: str) -> str:
+    """Return what stands between the letters and digits of a text."""
+    return re.sub(r"[\w\s]", "", text)
 
 
 def _has_format(text: str, form: str) -> bool:
