@@ -316,3 +316,95 @@ def test_a_stream_takes_one_decimal_sign_in_a_column(cuts):
     data = small(cells, ";").encode()
     run, said = from_pipe(data, THREE, cuts)
     assert run.y[:, 0].tolist() == [1.002] and len(said) >= 21  # and no 998.5 behind what may be 1002
+
+
+DAYS = {
+    "clock with dots": "%d/%m/%Y %H.%M.%S",
+    "half days": "%d/%m/%Y %I:%M:%S%p",
+    "plain": "%d/%m/%Y %H:%M",
+    "two digits": "%d-%m-%Y %H:%M:%S",
+    "zone": "%d/%m/%y %H:%M:%S UTC",
+    "fraction": "%d/%m/%Y %H:%M:%S.000",
+}
+
+
+def on_days(form, begin, hours):
+    """Return lines of a file, hours apart."""
+    moments = [begin + datetime.timedelta(hours=hours * k) for k in range(40)]
+    return [f"{moment:{form}},1,{k}.5\n" for k, moment in enumerate(moments)]
+
+
+@pytest.mark.parametrize("form", DAYS.values(), ids=DAYS)
+@pytest.mark.parametrize("begun", [3, 9])
+def test_a_stream_keeps_the_order_of_day_and_month_that_midnight_showed(form, begun):
+    hourly, head = PLANT.replace(dt=3600), "time,heater,temp\n"
+    lines = on_days(form, datetime.datetime(2026, 3, 4, 22), 1)
+    pipe = PipeText(hourly, print)
+    first = pipe.take("".join([head, *lines[:begun]]).encode())
+    again = PipeText(hourly, print, pipe.memory())  # by another process, too
+    assert str(first.stamps[-1]).startswith("2026-03-05")
+    for pieces in (pipe, again):
+        second = pieces.take("".join(lines[begun : begun + 2]).encode())
+        third = pieces.take("".join(lines[begun + 2 :]).encode())
+        assert [str(stamp)[:10] for stamp in second.stamps] == ["2026-03-05"] * 2
+        assert str(third.stamps[-1]).startswith("2026-03-06") and not len(third.starts)
+
+
+def test_a_stream_says_when_the_order_of_day_and_month_shows(capsys):
+    said = []
+    pipe = PipeText(PLANT.replace(dt=3600), lambda kind, sentence: said.append(sentence))
+    lines = on_days("%d/%m/%Y %H:%M", datetime.datetime(2026, 3, 4, 22), 1)
+    pipe.take(("time,heater,temp\n" + lines[0]).encode())
+    pipe.take("".join(lines[1:9]).encode())
+    pipe.take("".join(lines[9:]).encode())
+    assert said[0].endswith("are read as month/day/year; they could also be day/month/year")
+    assert said[1:] == ["time stamps like '04/03/2026 23:00' show their order: they are day/month/year"]
+
+
+@pytest.mark.parametrize("form", DAYS.values(), ids=DAYS)
+def test_fit_keeps_the_order_of_day_and_month_of_each_form(tmp_path, form):
+    path = tmp_path / "run.csv"
+    path.write_text("time,heater,temp\n" + "".join(on_days(form, datetime.datetime(2026, 3, 2), 9)))
+    run = jb.read(path, PLANT.replace(dt=9 * 3600))
+    assert run.taken.time_format == form.partition(" ")[0]
+
+
+def test_dates_of_which_only_the_first_has_one_order_are_asked_about(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(
+        "time,heater,temp\n" + "".join(f"0{d}/03/2026 08:0{k},1,1\n" for d in (3, 4) for k in (0, 1))
+    )
+    assert "they could also be day/month/year" in " ".join(jb.read(path, PLANT).hints)
+
+
+def test_rows_with_a_delimiter_more_may_have_others_between(tmp_path):
+    path = tmp_path / "run.csv"
+    rows = [f"{60 * k};1;{k},5;" for k in range(9)]
+    path.write_text("\n".join(["time;heater;temp", *rows[:5], "time;heater;temp", *rows[5:], "Total: 9", ""]))
+    run = jb.read(path, PLANT)
+    assert run.samples == 9 and "row 7 repeats what stands above the samples: left out" in run.hints
+
+
+def test_zero_bytes_in_a_file_of_windows_are_left_out(tmp_path):
+    path = tmp_path / "run.csv"
+    rows = [f"{60 * k};1;{k},5 °C\n" for k in range(9)]
+    path.write_bytes("".join(["time;heater;temp\n", *rows[:5], "\0" * 512, "\n", *rows[5:]]).encode("cp1252"))
+    run = jb.read(path, PLANT)
+    assert run.samples == 9 and "row 7 holds zero bytes, as a power cut leaves them: left out" in run.hints
+
+
+def test_a_row_of_other_length_is_named_beside_columns_in_another_notation(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("time,heater,temp\n0,1,5 kW\n60,1,6 kW,7\n120,1,7 kW\n")
+    with pytest.raises(ValueError, match="row 3 has 4 cells, the header has 3 columns"):
+        jb.read(path, PLANT)
+
+
+@pytest.mark.parametrize("how", [{"thousands": "."}, {"decimal": ","}])
+def test_a_table_of_texts_is_read_by_the_signs_that_are_stated(how):
+    model = PLANT.replace(columns=with_format({}, how))
+    frame = pd.DataFrame({"heater": ["1", "2"], "temp": ["34.900", "1.234.567"]})
+    assert Recording.of(model, frame).y[:, 0].tolist() == [34900, 1234567]
+    frame = pd.DataFrame({"heater": ["1", "2"], "temp": ["34.900", "34.9"]})
+    with pytest.raises(ValueError, match="column 'temp' holds '34.900', which is not a number"):
+        Recording.of(model, frame)
