@@ -23,7 +23,14 @@ from jaxbound.recordings.factors import (
     with_factors,
 )
 from jaxbound.recordings.notations import noted_numbers
-from jaxbound.recordings.oddcells import OddCells, error_hints, odd_of_frame, refuse_odd, texts_of_frame, unsaid_hints
+from jaxbound.recordings.oddcells import (
+    OddCells,
+    error_hints,
+    odd_of_frame,
+    refuse_odd,
+    texts_of_frame,
+    unsaid_hints,
+)
 from jaxbound.recordings.recordingformat import format_of
 from jaxbound.recordings.selection import Column, column_for, expressions_of, period
 from jaxbound.recordings.signals import Named

@@ -47,7 +47,7 @@ FORMATS += [*DATES[:-1], *CLOCKS[:4], MINUTES]
 ORDERS = ("%m/%d/%Y", "%d/%m/%Y", "%m-%d-%Y", "%d-%m-%Y", "%m/%d/%y", "%d/%m/%y")
 """Dates in which day and month could change places."""
 BY_SIGNS: dict[str, list[str]] = {}
-"""{what stands between the letters and digits of a text: the formats of such texts}."""
+"""{the signs of a text, which are no letters or digits: the formats of such texts}."""
 for _form in FORMATS:
     BY_SIGNS.setdefault(re.sub(r"%.|[\sT]", "", _form), []).append(_form)
 STATING = " (--recording, or [recording] of the model file)"
@@ -445,7 +445,7 @@ def _far(stamps: np.ndarray) -> np.ndarray:
 
 
 def _signs(text: str) -> str:
-    """Return what stands between the letters and digits of a text."""
+    """Return the signs of a text, which are no letters or digits."""
     return re.sub(r"[\w\s]", "", text)
 
 
