@@ -21,8 +21,8 @@ SIGNS = [(".", ""), (",", ""), (".", ","), (",", "."), (".", "'"), (",", "'"), (
 """Signs for decimals and thousands."""
 SUFFIX = r"^[-+]?[0-9.,][0-9.,' ]*?(?:[eE][-+]?[0-9]+)?(?P<unit> ?[^-+0-9.,' eE][^0-9]*| [^0-9 ][^ ]*)?$"
 LONGEST = 12  # letters of a unit
-NO_UNIT = re.compile(r"[-+]?[0-9.,]+|[eEdD][-+]?[0-9]+|[x*\u00d7\u00b7^].*")
-"""What stands behind a number and belongs to it: 1.5 E3, 1.5 x10^3, 1.5 -3."""
+NO_UNIT = re.compile(r"[-+\u2212]|[-+]?[0-9.,]+|[eEdD][-+]?[0-9]+|[x*\u00d7\u00b7^].*")
+"""What stands behind a number and belongs to it: 1.5 E3, 1.5 x10^3, 1.5 -3, 1.5 -."""
 
 
 @dataclass(frozen=True)

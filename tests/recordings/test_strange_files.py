@@ -167,6 +167,7 @@ CELLS = {  # (delimiter, cells of temp, their numbers; None: refused)
     "a word": (",", ["1", "Bad", "2"], None),
     "a power behind a space": (",", ["1.5 E3", "2 E3", "3 E3"], None),
     "a power in words": (",", ["1.5 x10^3", "2 x10^3", "3 x10^3"], None),
+    "a sign behind a space": (",", ["1.5 -", "2 -", "3 -"], None),
     "cubic metres": (",", ["1.5 m3/h", "2 m3/h", "3 m3/h"], [1.5, 2, 3]),
 }
 THREE = PLANT.replace(inputs=["heater"], dt=60)
