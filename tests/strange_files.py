@@ -282,6 +282,8 @@ DIALECTS = {
     "on and off": Dialect(",", kind=SWITCHED, words=("OFF", "ON")),
     "true and false": Dialect(";", with_comma, kind=SWITCHED, words=("False", "True")),
     "stated words": Dialect(kind=SWITCHED, words=("shut", "open"), how={"on": "open", "off": "shut"}),
+    "bars, stated": Dialect("|", with_comma, how={"delimiter": "|"}),
+    "missing words, stated": Dialect(how={"missing": "Bad,I/O Timeout,-999"}),
     "UTF-8 of Windows": Dialect(";", with_comma, encoding="utf-8-sig", end="\r\n"),
     "Windows-1252": Dialect(";", lambda x: f"{with_comma(x)} °C", encoding="cp1252", end="\r\n"),
     "UTF-16": Dialect("\t", with_comma, encoding="utf-16", end="\r\n", from_pipe=False),
@@ -488,7 +490,8 @@ def all_twice(file, rng):
 
 
 def no_number(file, rng):
-    for word in rng.choice(["", "NaN", "#N/A", "null", " ", "n/a"], 3):
+    stated = file.dialect.how.get("missing", "#N/A").split(",")
+    for word in rng.choice(["", "NaN", "null", " ", "n/a", *stated], 3):
         at = place(file, rng)
         k, cells = file.rows[at]
         cells = [*cells]
@@ -550,7 +553,7 @@ class Drawn(NamedTuple):
 
     Fields: data: its bytes; model: of the plant, with what is stated of the format; relations; dialect,
     stamp; kept: numbers of its samples; moments, u, y: of all; said: what sentences say; about: how it was
-    drawn; texts: {column: cells} of all; undamaged: temp where nothing is missing.
+    drawn; texts: {column: cells} of the samples.
     """
 
     data: bytes
@@ -565,7 +568,6 @@ class Drawn(NamedTuple):
     said: list
     about: str
     texts: Mapping
-    undamaged: np.ndarray
 
 
 def draw(rng, stamp, dialect, damages, dt=60, begin=BEGINS[0]):
@@ -575,12 +577,12 @@ def draw(rng, stamp, dialect, damages, dt=60, begin=BEGINS[0]):
     u, y = samples(rng, how.kind)
     moments = [Moment(begin + datetime.timedelta(seconds=dt * k), begin) for k in range(COUNT)]
     file = drawn(u, y, moments, form, how)
-    texts = {name: [cells[i] for _, cells in file.rows] for i, name in enumerate(file.names)}
     for damage in damages:
         damage(file, rng)
-    undamaged = y.copy()
     y[file.missing] = np.nan
     kept = np.setdiff1d(np.arange(COUNT), file.lost)
+    rows = [cells for k, cells in file.rows if k in kept]
+    texts = {name: [cells[i] for cells in rows] for i, name in enumerate(file.names)}
     model = plant(how.kind, dt)
     model = model.replace(columns=with_format({}, how.how))
     return Drawn(
@@ -596,7 +598,6 @@ def draw(rng, stamp, dialect, damages, dt=60, begin=BEGINS[0]):
         file.said,
         about,
         texts,
-        undamaged,
     )
 
 

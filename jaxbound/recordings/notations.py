@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxbound.recordings.columns import Arrow, from_arrow
+from jaxbound.recordings.csvtext import MISSING_CELLS
 from jaxbound.recordings.recordingformat import RecordingFormat
 
 TRUTHS = {"on": "off", "true": "false", "yes": "no"}
@@ -158,8 +159,7 @@ def noted_numbers(cells: Sequence[object], how: RecordingFormat) -> tuple[np.nda
 
     texts: list[str | None] = []
     for cell in cells:
-        is_missing = cell is None or cell != cell or str(cell).strip() in how.missing
-        if is_missing:
+        if cell is None or cell != cell or str(cell).strip() in (*MISSING_CELLS, *how.missing):
             texts.append(None)
         elif isinstance(cell, str):
             texts.append(cell.strip())

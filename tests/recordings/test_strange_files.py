@@ -75,11 +75,11 @@ def check(path, rng, file):
         assert same.u.tobytes() == run.u.tobytes() and same.y.tobytes() == run.y.tobytes(), about
         assert same.starts.tolist() == run.starts.tolist(), about
     if not file.dialect.long and not file.dialect.on_change:
-        index = pd.DatetimeIndex([moment.utc for moment in file.moments])
+        index = pd.DatetimeIndex([moment.utc for moment in moments])
         cells = {name: file.texts[name] for name in ("heater", "temp")}
         texts = Recording.of(file.model, pd.DataFrame(cells, index, dtype=object))
-        np.testing.assert_array_equal(texts.u[:, 0], file.u, about)
-        np.testing.assert_array_equal(texts.y[:, 0], file.undamaged, about)
+        np.testing.assert_array_equal(texts.u[:, 0], u, about)
+        np.testing.assert_array_equal(texts.y[:, 0], y, about)
     return run, result
 
 
@@ -409,3 +409,16 @@ def test_a_table_of_texts_is_read_by_the_signs_that_are_stated(how):
     frame = pd.DataFrame({"heater": ["1", "2"], "temp": ["34.900", "34.9"]})
     with pytest.raises(ValueError, match="column 'temp' holds '34.900', which is not a number"):
         Recording.of(model, frame)
+
+
+def test_tables_of_texts_may_lack_samples_and_be_categories():
+    cells = ["34,5 kW", "", "NaN", "#N/A", "34,25 kW"]
+    for kind in (object, "category"):
+        frame = pd.DataFrame({"heater": ["1", "null", "1", "", "1"], "temp": pd.Series(cells, dtype=kind)})
+        run = Recording.of(PLANT, frame)
+        np.testing.assert_array_equal(run.y[:, 0], [34.5, np.nan, np.nan, np.nan, 34.25])
+        np.testing.assert_array_equal(run.u[:, 0], [1, np.nan, 1, np.nan, 1])
+        assert "one cell of column 'temp' holds an error of a spreadsheet" in " ".join(run.hints)
+    stated = PLANT.replace(columns=with_format({}, {"thousands": "."}))
+    frame = pd.DataFrame({"heater": 1.0, "temp": pd.Categorical(["34.900", "1.000"])})
+    assert Recording.of(stated, frame).y[:, 0].tolist() == [34900, 1000]
