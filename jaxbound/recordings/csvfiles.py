@@ -174,6 +174,7 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
     written = _written_times(layout, plan, cells)
     _refuse_empty(layout, plan, cells)
     time, stamps, hint = _times_of(reader, written, cells, model)
+    is_shown = not hint  # the order of day and month
     rows = _counting_rows(reader, opened, time, cells)
     if written is not None and not rows.all():
         cells, time, written = cells.kept(rows), time[rows], written.filter(to_arrow(rows))
@@ -196,6 +197,8 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
     ]
     dt = _period_of(layout, plan, model, time)
     recording = Recording.filed(model, samples, (time, stamps, written), path.name, dt)
+    if not is_shown:
+        written = None
     recording = replace(recording, taken=_taken(reader, cells, written, stamps))
     report(0.9)
     return with_hints(model, recording, layout.row, plan.condition, hints)

@@ -370,6 +370,15 @@ def test_fit_keeps_the_order_of_day_and_month_of_each_form(tmp_path, form):
     assert run.taken.time_format == form.partition(" ")[0]
 
 
+def test_fit_keeps_no_order_of_day_and_month_that_is_a_guess(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(
+        "time,heater,temp\n" + "".join(on_days("%d/%m/%Y %H:%M", datetime.datetime(2026, 3, 4), 0.5))
+    )
+    run = jb.read(path, PLANT.replace(dt=1800))
+    assert run.taken.time_format == "" and "could also be day/month/year" in " ".join(run.hints)
+
+
 def test_dates_of_which_only_the_first_has_one_order_are_asked_about(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(
