@@ -610,7 +610,7 @@ def drawn_names(rng, dialect, dt):
     damages = [rng.choice(group) for group in (ABOVE, INSIDE, INSIDE, BEHIND) if rng.random() < 0.35]
     if how.long or how.on_change:
         damages = [rng.choice(OF_LONG)]
-    damages.sort(key=lambda damage: damage is not logger_off)  # before rows have twins
+    damages.sort(key=lambda damage: (damage is row_twice) - (damage is logger_off))  # twins come last
     if all_twice in damages:
         damages = [all_twice]
     return str(rng.choice(fitting)), dialect, damages, dt, BEGINS[rng.integers(len(BEGINS))]

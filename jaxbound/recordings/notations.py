@@ -54,14 +54,20 @@ class Notation:
             return np.where(is_on, 1.0, np.where(is_off, 0.0, np.nan)), is_on | is_off | none
         plain = _plain(cells)
         if self.unit:
-            bare = pc.utf8_rtrim_whitespace(pc.replace_substring_regex(plain, re.escape(self.unit) + "$", ""))
-            plain = pc.if_else(pc.ends_with(plain, self.unit), bare, "")
+            plain = pc.if_else(pc.ends_with(plain, self.unit), self.without_unit(cells), "")
         fits = _mask(pc.match_substring_regex(plain, self.pattern))
         if self.thousands:
             plain = pc.replace_substring(plain, self.thousands, "")
         plain = pc.utf8_ltrim(pc.replace_substring(plain, self.decimal, "."), "+")
         numbers = pc.if_else(pa.array(fits), plain, pa.scalar(None, pa.string()))
         return from_arrow(numbers.cast(pa.float64())), fits | none
+
+    def without_unit(self, cells: Arrow) -> Arrow:
+        """Return cells with usual signs for minus and blanks, and without the unit."""
+        import pyarrow.compute as pc
+
+        bare = pc.replace_substring_regex(_plain(cells), re.escape(self.unit) + "$", "")
+        return pc.utf8_rtrim_whitespace(bare)
 
     def number(self, cell: str) -> float | None:
         """Return the number in one cell, None where it holds none: `numbers`, sooner."""
