@@ -294,14 +294,16 @@ def _refuse_thousands(reader: LineReader, opened: Opened, cells: Cells) -> None:
     layout, signs = reader.layout, _signs_of(reader, cells)
     if layout.how.decimal or layout.how.thousands:
         return
-    shown = {
-        n: sign for n, sign in signs.items() if (cells.columns[n][np.isfinite(cells.columns[n])] % 1).any()
-    }
-    if layout.delimiter == "," and "," not in shown.values():
+    if layout.delimiter == "," and "," not in signs.values():
         return  # cells that are parted by commas have decimal points
     doubted = [n for n in signs if n != reader.plan.time and may_be_grouped(cells.columns[n])]
     if not doubted:
         return
+    shown = {}
+    for name, sign in signs.items():
+        values = cells.columns[name]
+        if (values[np.isfinite(values)] % 1).any():
+            shown[name] = sign
     texts = reader.written(opened)
     assert texts is not None, "it was read before"
     for name in doubted:
