@@ -251,13 +251,19 @@ def needs(model: jb.LinearSystem, day: Day) -> tuple[np.ndarray, np.ndarray, np.
     return need, found.status == jb.Status.FAULT, found.outside > 0
 
 
-def judged(plant: str, count: int, seed: int, unseen: int = 22, **options) -> dict[str, float]:
-    """Return the figures of one fit to so many days of 30, on so many of the others."""
+def fitted(plant: str, count: int, seed: int, unseen: int = 22, **options) -> tuple:
+    """Return (model, (u, y) of days that it has not seen, their numbers): fitted to so many days of 30."""
     u, y = days(plant, 30, seed)
     order = np.random.default_rng(seed).permutation(30)
     seen, rest = order[:count], order[count : count + unseen]
     model = jb.fit([(u[i], y[i]) for i in seen], **options)
-    need, fault, out = needs(model, (u[rest], y[rest]))
+    return model, (u[rest], y[rest]), rest
+
+
+def judged(plant: str, count: int, seed: int, unseen: int = 22, **options) -> dict[str, float]:
+    """Return the figures of one fit to so many days of 30, on so many of the others."""
+    model, (u, y), rest = fitted(plant, count, seed, unseen, **options)
+    need, fault, out = needs(model, (u, y))
     tested = ~np.isnan(need)
     worst = np.nanmax(need, 1)
 
@@ -277,9 +283,9 @@ def judged(plant: str, count: int, seed: int, unseen: int = 22, **options) -> di
     }
     biased = y.copy()
     biased[:, NOON:, 0] += JUDGED[plant].bias
-    weak = days(plant, 30, seed, JUDGED[plant].loss)
-    for name, (us, ys) in {"bias": (u, biased), "loss": weak}.items():
-        more, fault, _ = needs(model, (us[rest], ys[rest]))
+    weak = tuple(x[rest] for x in days(plant, 30, seed, JUDGED[plant].loss))
+    for name, day in {"bias": (u, biased), "loss": weak}.items():
+        more, fault, _ = needs(model, day)
         tested = ~np.isnan(more[:, NOON:])
         figures[name] = float(fault[:, NOON:][tested].mean())
         figures[f"{name}, at zero"] = float((more[:, NOON:][tested] > worst.max()).mean())

@@ -226,15 +226,15 @@ def certify(
     wide = extrapolated(relations)
     if wide is None or status == Status.FAULT:
         return certificate_of(relations, u, y, status, at)
-    departure = wide.region.departure(np.asarray(u), np.zeros(len(y), bool))
+    grade = int(wide.region.departure(np.asarray(u), np.zeros(len(y), bool)).grade[-1])
     try:
         stated = certificate_of(relations, u, y, status, at)
     except NotImplementedError:  # the wider bounds may have a behaviour that is found
-        if departure.share[-1] == 0:
+        if grade < 0:
             raise
-        return certificate_of(wide.relations, u, y, status, at)
-    if departure.share[-1] > 0 and stated.proves == Status.FAULT:
-        beyond = certificate_of(wide.relations, u, y, status, at)
+        return certificate_of(wide.relations(grade), u, y, status, at)
+    if grade >= 0 and stated.proves == Status.FAULT:
+        beyond = certificate_of(wide.relations(grade), u, y, status, at)
         if beyond.proves != Status.FAULT:
             return beyond
     return stated

@@ -113,6 +113,7 @@ class Parser(argparse.ArgumentParser):
             self._refuse_unknown_option(words)
         parsed, left = super().parse_known_args(words, namespace)
         if not self.commands:
+            left = self._behind(parsed, left)
             if left:
                 raise Refused(f"{self.prog} has no use for {' '.join(left)}; see {self.prog} --help")
             parsed.words = words
@@ -127,6 +128,21 @@ class Parser(argparse.ArgumentParser):
             if isinstance(action, argparse._SubParsersAction):
                 return list(action.choices)
         return []
+
+    def _behind(self, parsed: argparse.Namespace, left: list[str]) -> list[str]:
+        """Give words that stand behind an option to the argument that takes several; return those left.
+
+        argparse gives it only the words before that option: its own way around, intermixed parsing, knows no
+        commands.
+        """
+        if any(word.startswith("-") for word in left):
+            return left
+        for action in self._actions:
+            if action.nargs == argparse.ONE_OR_MORE and not action.option_strings:
+                files = getattr(parsed, action.dest)
+                files += [self._get_value(action, word) for word in left]  # type: ignore[attr-defined]
+                return []
+        return left
 
     def _refuse_unknown_command(self, words: list[str]) -> None:
         name = next(iter(words), "")

@@ -97,16 +97,19 @@ def explain_window(directory: str | Path, at: str, step: Step, test: str | None 
     beyond = is_outgrown(Path(directory))
     if certificate.test:  # the bounds are its own
         beyond = outgrown_by(relations, certificate.test)
-    return Explained(certificate, k, labels, beyond, _training(relations, part), axis.also_a_time(at))
+    training = _training(relations, part, certificate.test)
+    return Explained(certificate, k, labels, beyond, training, axis.also_a_time(at))
 
 
-def _training(relations: Relations, part: Recording) -> str:
-    """Return whether the window that ends with a recording lies in the region of training, in words."""
+def _training(relations: Relations, part: Recording, test: str) -> str:
+    """Return whether the window that ends with a recording lies in the region of training, in words. test: of
+    a monitor the name of the one that it is of.
+    """
     region = Region.of(relations)
     if region is None:
         return ""
     u = np.asarray(part.u, np.float64)
-    (words,) = region.departure(u, np.zeros(len(u), bool)).cut(slice(-1, None)).words()
+    words = region.departure(u, np.zeros(len(u), bool)).words(-1, test)
     if words:
         return f"outside it: {words}"
     return "its inputs are within the ranges of training"

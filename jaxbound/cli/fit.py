@@ -39,8 +39,9 @@ OPTIONS = Options(
         "--add": "one of DATA is a model file: it gets bounds just wide enough for the others, and stays as "
         "it is else; without --out that file is changed",
         "--inputs A,B": "columns; or name=column, or name=expression like lift=Tsup-Tmix; names with commas "
-        "or = in backticks or double quotes; wind=angle(W) becomes wind sin and wind cos, of degrees; "
-        "rate(n) is the growth of a counter in a second, rate(n,65536) of one that begins at 0 again there",
+        "or = in backticks or double quotes; wind=angle(W) becomes wind sin and wind cos, of degrees "
+        "(radians: angle(W,2*pi)), and rate(angle(W)) is how fast it turns, in radians a second; rate(n) is "
+        "the growth of a counter in a second, rate(n,65536) of one that begins at 0 again there",
         "--outputs C,D": "as --inputs: what the model is to explain; these and their columns may be left out "
         "with a --recipe from a model file",
         "--recipe RECIPE": "how to fit, and for which test, like order=1,horizon=30 (windows of 31 samples) "

@@ -12,6 +12,7 @@ from jaxbound.cli.names import parted, unquoted
 from jaxbound.cli.terminal import Conclusion, Row
 from jaxbound.cli.tradeoff_table import disturbance_rows
 from jaxbound.diagnosis.memory import slowest, suggest_lags
+from jaxbound.models.region import text_outside
 from jaxbound.recordings.expressions import CLOCK, expression
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
 from jaxbound.studies.identification.signal_choice import GIVEN
@@ -160,7 +161,7 @@ class FitConclusion(Conclusion):
         yield from _left_out(check, self.files)
         if model.extrapolation:
             why = model.provenance["extrapolation"]
-            yield "outside training", f"bounds are {float(model.extrapolation):.3g} times as wide, {why}"
+            yield "outside training", f"bounds are {text_outside(model)}, {why}"
         yield from _follows(check)
         yield from disturbance_rows(model)
         if not check.tests:  # else lags were tried

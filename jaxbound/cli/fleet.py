@@ -20,17 +20,27 @@ CODES = (
     "fitted to shorter windows, 0 no fault; 70 internal error, 130 interrupted, 129 by SIGHUP, 143 by "
     "SIGTERM (what was tested is written)"
 )
+
+
+def _of_units(text: str) -> None:
+    """Refuse fields of a recording: units of a fleet are written in ways of their own."""
+    raise argparse.ArgumentTypeError("is said by [recording] of each unit's model file")
+
+
 OPTIONS = Options(
     {
         "manifest MANIFEST": "CSV or TOML with a unit, a model and a recording in each row; a column "
-        "acknowledged names the unit's own file of acknowledgements",
+        "acknowledged names the unit's own file of acknowledgements; how recordings are read is said by "
+        "[recording] of each unit's model file",
         "--out DIR": "folder for fleet.csv and its page, worst units first",
         "--state DIR": "folder in which it is kept how each unit goes on: its next recording, in a later "
         "run, is judged as if it followed in one file",
         **test(CLAIMS),
         **RULE,
         **JSON,
+        "--recording WORDS": argparse.SUPPRESS,
     },
+    {"recording": _of_units},
     required=("out",),
     more={**COVERAGE, **ENGINE},
 )

@@ -22,11 +22,12 @@ EXAMPLES = (
         "how it is written, its times and gaps, each column, the command to go on with",
     ),
     ("jaxbound look run.csv --out run.html", "the same as a page, with a picture of each column"),
+    ("zcat run.csv.gz | jaxbound look -", "what comes through a pipe"),
 )
 CODES = "exit codes: 0, 2 bad input or usage, 70 internal error, 130 interrupted"
 OPTIONS = Options(
     {
-        "data DATA": "a CSV file, a Parquet file or a folder of these",
+        "data DATA": "a CSV file, a Parquet file or a folder of these; -: standard input, until it ends",
         "--out FILE": "a page (.html) or a picture of each column (.png) to write",
         **reading("as recorded"),
         "--dt SECONDS": "sampling period of a recording without times",

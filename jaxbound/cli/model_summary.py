@@ -10,6 +10,7 @@ from jaxbound.cli.terminal import Conclusion, Row
 from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.detectability import GuaranteedSize, detectable
 from jaxbound.diagnosis.isolability import FaultIsolability, isolability
+from jaxbound.models.region import text_outside
 from jaxbound.models.statedtests import StatedTest
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.signals import SignalModel
@@ -215,8 +216,10 @@ def _bounds_rows(model: LinearSystem) -> Iterator[Row]:
     for a in model.averages:
         yield "average", f"{a.text} within {float(a.bound):.6g}"
     if model.extrapolation:
-        wider = f"bounds times {float(model.extrapolation):.6g}"
-        yield "outside training", f"{wider}   {_origin_in_brackets(model, 'extrapolation')}"
+        yield (
+            "outside training",
+            f"bounds {text_outside(model)}   {_origin_in_brackets(model, 'extrapolation')}",
+        )
     if model.d:
         yield "unknown inputs", f"{model.d}, of which nothing is known"
     for parameter in model.uncertainties:

@@ -95,8 +95,8 @@ def reading(default: str = "that of the model", more: str = "") -> dict[str, str
         "within each such interval of the clock, in ms, s, min, h or d; default: "
         f"{default}); and how they are written, beside [recording] of the model file, like "
         "header=3,decimal=comma: header (row), skip (rows), comment, delimiter, decimal, thousands, "
-        "encoding; time (column), time_format, time_unit, zone; missing, on, off (words); hold, equal, "
-        "long (columns of tags and of values) "
+        "encoding; time (column), time_format, time_unit, zone; missing, on, off (words); hold, deadband, "
+        "equal, long (columns of tags and of values) "
         f"(default: found by looking){more}"
     }
 

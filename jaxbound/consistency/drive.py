@@ -86,7 +86,7 @@ def drive(test: WindowTest | Observer[Any], given: Recording, progress: Progress
     """
     if test.remembers:
         return _folded(test, given)
-    return windows(test, given.u, given.y, given.starts, progress)
+    return windows(test, given, progress)
 
 
 def _folded(observer: Observer[Any], given: Recording) -> Verdicts:
@@ -127,32 +127,30 @@ def _folded(observer: Observer[Any], given: Recording) -> Verdicts:
 
 
 def windows(
-    test: WindowTest,
-    u: Array,
-    y: Array,
-    starts: np.ndarray,
-    progress: Progress | None = None,
-    size: int | None = None,
+    test: WindowTest, given: Recording, progress: Progress | None = None, size: int | None = None
 ) -> Judged:
-    """Return the verdicts that `drive` gives for a Recording of these samples: of windows outside the region
-    of training under the bounds that they have there.
+    """Return the verdicts that `drive` gives: of windows outside the region of training under the bounds that
+    they have there.
 
     Args:
-        test, progress: as for `drive`. u: (..., T, m). y: (..., T, p). starts: of that Recording. size:
-            windows at once; None: as the test says.
+        test, given, progress: as for `drive`. size: windows at once; None: as the test says.
     """
-    judged = _as_stated(test, u, y, starts, progress, size)
-    beyond = outside_test(test)
-    if beyond is None:
+    judged = _as_stated(test, given, progress, size)
+    outside = outside_test(test)
+    if outside is None:
         return judged
-    region, other = beyond
-    departure = region.departure(np.asarray(u), judged.status == Status.MISSING)
-    at = np.flatnonzero(departure.share > 0)
-    if not len(at):
-        return judged
-    first, samples = stretches_around(at, test.horizon)
-    wide = _as_stated(other, end_to_end(u)[samples], end_to_end(y)[samples], first[1:], size=size)
-    here = np.searchsorted(samples, at)
+    departure = outside.beyond.region.departure(np.asarray(given.u), judged.status == Status.MISSING)
+    for grade in np.unique(departure.grade[departure.grade >= 0]).tolist():
+        at = np.flatnonzero(departure.grade == grade)
+        first, samples = stretches_around(at, test.horizon)
+        beyond = Recording(end_to_end(given.u)[samples], end_to_end(given.y)[samples], first[1:])
+        wide = _as_stated(outside.test(grade), beyond, size=size)
+        judged = _with_those(judged, wide, at, np.searchsorted(samples, at))
+    return judged
+
+
+def _with_those(judged: Judged, others: Judged, at: np.ndarray, here: np.ndarray) -> Judged:
+    """Return verdicts where those of windows `at`, counted end to end, are those that others have `here`."""
 
     def both(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
         flat = np.array(mine).reshape(*mine.shape[: theirs.ndim - 1], -1)  # words of relations stand first
@@ -160,10 +158,10 @@ def windows(
         return flat.reshape(mine.shape)
 
     words = judged.words
-    if words is not None and wide.words is not None:
-        words = both(words, wide.words)
-    columns = {name: both(numbers, wide.columns[name]) for name, numbers in judged.columns.items()}
-    status, margin = both(judged.status, wide.status), both(judged.margin, wide.margin)
+    if words is not None and others.words is not None:
+        words = both(words, others.words)
+    columns = {name: both(numbers, others.columns[name]) for name, numbers in judged.columns.items()}
+    status, margin = both(judged.status, others.status), both(judged.margin, others.margin)
     return judged._replace(status=status, margin=margin, words=words, columns=columns)
 
 
@@ -179,17 +177,12 @@ def stretches_around(at: np.ndarray, horizon: int) -> tuple[np.ndarray, np.ndarr
 
 
 def _as_stated(
-    test: WindowTest,
-    u: Array,
-    y: Array,
-    starts: np.ndarray,
-    progress: Progress | None = None,
-    size: int | None = None,
+    test: WindowTest, given: Recording, progress: Progress | None = None, size: int | None = None
 ) -> Judged:
     """Return the verdicts of windows under the bounds of a test, wherever they lie. Args: as of `windows`."""
-    flat_u, flat_y, block = end_to_end(u), end_to_end(y), size or test.block
-    shape, report = y.shape[:-1], _rising(progress)
-    decided = partial(_decided, test, flat_u, flat_y, shape, starts, report, block)
+    flat_u, flat_y, block = end_to_end(given.u), end_to_end(given.y), size or test.block
+    shape, report = given.y.shape[:-1], _rising(progress)
+    decided = partial(_decided, test, flat_u, flat_y, shape, given.starts, report, block)
     if is_outside_xla():
         return decided()
     if test.by_kernels:
@@ -209,13 +202,13 @@ def _as_stated(
 
     def missing(some_u: np.ndarray, some_y: np.ndarray) -> np.ndarray:
         with outside_xla():
-            alone = _as_stated(test, some_u, some_y, NOWHERE, size=block)
+            alone = _as_stated(test, Recording(some_u, some_y), size=block)
         return np.asarray(alone.status[:, -1] == Status.MISSING)
 
     with searching():
         judged = decided()
         ends = np.ones(shape, bool)
-        ends[..., _endless(starts, test.horizon, shape[-1])] = False
+        ends[..., _endless(given.starts, test.horizon, shape[-1])] = False
         return only_searched(test, judged, flat_u, flat_y, ends.reshape(-1), missing)
 
 
@@ -251,12 +244,10 @@ def _decided(
     return judged
 
 
-def raw_outputs(test: WindowTest, u: Array, y: Array, starts: np.ndarray) -> list[np.ndarray]:
-    """Return the `outputs` (..., T) of a test, without `columns`, before a FAULT is confirmed; arguments as
-    of `windows`.
-    """
-    flat_u, flat_y = end_to_end(u), end_to_end(y)
-    outs = _filled(test, flat_u, flat_y, y.shape[:-1], starts, reporter(None), test.block)
+def raw_outputs(test: WindowTest, given: Recording) -> list[np.ndarray]:
+    """Return the `outputs` (..., T) of a test, without `columns`, before a FAULT is confirmed."""
+    u, y, shape = end_to_end(given.u), end_to_end(given.y), given.y.shape[:-1]
+    outs = _filled(test, u, y, shape, given.starts, reporter(None), test.block)
     return outs[: len(outs) - len(test.columns)]
 
 
@@ -300,7 +291,7 @@ def _contradicted(
         at = starts[chosen, None] + np.arange(test.horizon + 1)
         # A primitive of a newer jax, which NumPy does not know, confirms nothing.
         with outside_xla(), contextlib.suppress(NotImplementedError):
-            judged = _as_stated(test, u[at], y[at], NOWHERE, size=size)
+            judged = _as_stated(test, Recording(u[at], y[at]), size=size)
             refuted[chosen] = judged.status[:, -1] == Status.FAULT
     return refuted
 

@@ -1,77 +1,98 @@
 """Windows outside the region of training, under the wider bounds that they have there.
 
-All bounds of such a window are `extrapolation` times as wide as the model states them. The window is judged
-by the same test under these bounds: what is said of it is proved of them, as inside.
+All bounds of such a window are `extrapolation` times as wide as the model states them, and by a quarter, a
+half or as much again, the farther outside its inputs lie (`region.GRADES`). The window is judged by the same
+test under these bounds: what is said of it is proved of them, as inside.
 
 An observer carries one set from sample to sample: no window of it has bounds that could be wider, and its
 verdicts are those of the bounds as stated.
 """
 
-from typing import NamedTuple, cast
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import cast
 
 import numpy as np
 
 from jaxbound.consistency.interface import EXACT, Relations, WindowTest
-from jaxbound.models.region import Region
+from jaxbound.models.region import Region, factors_outside
 from jaxbound.models.system import LinearSystem
+from jaxbound.models.widths import widened, widened_ends
 from jaxbound.sets.floats import rounding
 
-UP = 1 + 8 * np.finfo(float).eps
-"""What rounding may take from a product and a sum."""
 
-
-class Extrapolated(NamedTuple):
-    """The region of training, and relations under the bounds that windows outside it have."""
+@dataclass(frozen=True, eq=False)
+class Extrapolated:
+    """Relations outside of training. Fields: region: of training. inside: relations as they are stated."""
 
     region: Region
-    relations: Relations
+    inside: Relations
+    made: dict[int, Relations] = field(default_factory=dict, repr=False)
+
+    def relations(self, grade: int) -> Relations:
+        """Return the relations under the bounds of one of GRADES."""
+        if grade not in self.made:
+            self.made[grade] = self.inside.with_bounds(_wider(self.inside, grade))
+        return self.made[grade]
 
 
 def extrapolated(relations: Relations) -> Extrapolated | None:
     """Return relations as they are outside of training; None: bounds there are as they are inside."""
-    model = getattr(relations, "model", None)  # kinds of proofs know relations of others
-    if not isinstance(model, LinearSystem) or (model.extrapolation or 1) == 1 or relations.remembers:
+    # kinds of proofs know relations of others, and a stretch of an observer
+    model, remembers = getattr(relations, "model", None), getattr(relations, "remembers", True)
+    if not isinstance(model, LinearSystem) or not factors_outside(model) or remembers:
         return None
     region = Region.of(relations)
     if region is None:
         return None
+    found = Extrapolated(region, relations)
     try:
-        return Extrapolated(region, relations.with_bounds(_wider(relations, model)))
+        found.relations(0)
     except NotImplementedError:
         return None
+    return found
 
 
-def outside_test(test: WindowTest) -> tuple[Region, WindowTest] | None:
-    """Return the region of training of a test and the same test of windows outside; None: bounds there are as
-    they are inside.
-    """
+class OutsideTest:
+    """A test of windows outside of training. Fields: beyond: its relations there."""
+
+    def __init__(self, test: WindowTest, beyond: Extrapolated) -> None:
+        self.beyond, self._inside = beyond, test
+        self._made: dict[int, WindowTest] = {}
+
+    def test(self, grade: int) -> WindowTest:
+        """Return the test under the bounds of one of GRADES."""
+        if grade not in self._made:
+            other = self._inside.under(self.beyond.relations(grade))
+            self._made[grade] = other.measured() if self._inside.margins_are == EXACT else other
+        return self._made[grade]
+
+
+def outside_test(test: WindowTest) -> OutsideTest | None:
+    """Return the same test of windows outside of training; None: bounds there are as they are inside."""
     kind = test.margins_are
     if kind not in test.outside:  # made once: a stream asks at every sample
-        test.outside[kind], found = None, extrapolated(test.relations)
-        if found is not None:
-            other = test.under(found.relations)
-            test.outside[kind] = found.region, other.measured() if kind == EXACT else other
-    return cast(tuple[Region, WindowTest] | None, test.outside[kind])
+        beyond = extrapolated(test.relations)
+        test.outside[kind] = None if beyond is None else OutsideTest(test, beyond)
+    return cast(OutsideTest | None, test.outside[kind])
 
 
-def _wider(relations: Relations, model: LinearSystem) -> dict[str, np.ndarray]:
-    """Return the bounds outside of training. Ranges of uncertain parameters stay as they are."""
-    factor = float(model.extrapolation or 1)
-    bounds = {name: np.asarray(bound) for name, bound in relations.bounds.items()}
-    rounds = rounding.round_up(list(model.resolution))  # beside the bounds: it stays, and they grow for it
+def _wider(relations: Relations, grade: int) -> dict[str, np.ndarray]:
+    """Return the bounds in one of GRADES. Ranges of uncertain parameters stay as they are."""
+    model = cast(LinearSystem, relations.model)
+    factor = factors_outside(model)[grade]
+    # of relations, not of the model: `tune` may have moved them
+    bounds = {name: tuple(map(Fraction, np.ravel(x).tolist())) for name, x in relations.bounds.items()}
     wider = {
-        "noise": (factor * bounds["noise"] + (factor - 1) * rounds) * UP,
-        "tolerance": np.minimum(factor * bounds["tolerance"] * UP, np.nextafter(1, 0)),
+        "noise": rounding.round_up(widened(bounds["noise"], factor, model.resolution)),
+        "tolerance": np.minimum(rounding.round_up(widened(bounds["tolerance"], factor)), np.nextafter(1, 0)),
     }
     if "average" in bounds:
-        more = np.zeros(len(model.averages))
-        for number, average in enumerate(model.averages):
-            measured, signal = average.place(model.outputs)
-            if measured:
-                more[number] = rounds[signal] * float(sum(map(abs, average.weights)))
-        wider["average"] = (factor * bounds["average"] + (factor - 1) * more) * UP
+        rounds = tuple(average.rounded_away(model.outputs, model.resolution) for average in model.averages)
+        wider["average"] = rounding.round_up(widened(bounds["average"], factor, rounds))
     if "disturbance" in bounds:
-        lo, hi = bounds["disturbance"].T
-        more = (factor - 1) / 2 * (hi - lo) * UP
-        wider["disturbance"] = np.stack([lo - more, hi + more], 1)
+        ends = bounds["disturbance"]
+        pairs = [widened_ends(ends[i : i + 2], factor) for i in range(0, len(ends), 2)]
+        lo, hi = zip(*pairs, strict=True)
+        wider["disturbance"] = np.stack([rounding.round_down(lo), rounding.round_up(hi)], 1)
     return wider

@@ -358,7 +358,7 @@ class Monitor:
         if end - begin <= BURST * self._test.short:
             size = self._test.short
         own = starts[(starts > low) & (starts < end)] - low
-        judged = windows(self._test, u[low:end], y[low:end], own, size=size)
+        judged = windows(self._test, Recording(u[low:end], y[low:end], own), size=size)
         new = slice(begin - low, None)
         columns = {name: x[new] for name, x in judged.columns.items()}
         return Judged(judged.status[new], judged.margin[new], columns=columns)

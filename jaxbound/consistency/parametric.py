@@ -188,5 +188,5 @@ class ParametricTest(WindowTest):
         if is_traced(given.u, given.y, *self.relations.bounds.values()):
             return within(parametric_margins(self.relations, given.u, given.y), given, self.horizon)
         test = ParametricTest(self.relations, self.method, self.dtype)
-        _, margin = raw_outputs(test, given.u, given.y, given.starts)
+        _, margin = raw_outputs(test, given)
         return jnp.asarray(margin)

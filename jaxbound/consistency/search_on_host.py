@@ -288,11 +288,13 @@ def _reach(image: HostImage, telling: np.ndarray, free: np.ndarray) -> np.ndarra
     """Return (N, k + n), at least the size of each unknown without bounds in every behaviour: V; infinite
     where rows do not tell.
     """
-    c, k = image.R.shape
-    q = free.shape[1]
-    rows = np.where(telling < 0, 0, telling)
-    F = np.take_along_axis(image.columns, rows[:, :, None], 1)
+    c, reach = len(image.R), np.full(free.shape, np.inf)
     own = free & (telling >= 0)
+    # the few that are told, first: of large matrices the library's threads would wait for each other
+    first = np.argsort(~own, axis=1, kind="stable")[:, : own.sum(1).max(initial=1)]
+    own, rows = (np.take_along_axis(x, first, 1) for x in (own, np.maximum(telling, 0)))
+    q = own.shape[1]
+    F = np.take_along_axis(np.take_along_axis(image.columns, rows[:, :, None], 1), first[:, None], 2)
     both = own[:, :, None] & own[:, None, :]
     F = np.where(both, F, np.eye(q))
     usable = np.isfinite(F).all((1, 2)) & (np.linalg.cond(F, 1) < 1 / UNIT)
@@ -308,4 +310,5 @@ def _reach(image: HostImage, telling: np.ndarray, free: np.ndarray) -> np.ndarra
     # what has no telling row has no bound, and what shares rows with it neither
     blind = (free & (telling < 0)).any(1) | ~usable
     holds = np.all((G @ c_bound[:, :, None])[:, :, 0] <= 0.49 * c_bound, 1) & ~blind
-    return np.where(own & holds[:, None], 2 * c_bound * (1 + 1e-9), np.inf)
+    np.put_along_axis(reach, first, np.where(own & holds[:, None], 2 * c_bound * (1 + 1e-9), np.inf), 1)
+    return reach

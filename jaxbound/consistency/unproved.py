@@ -40,7 +40,7 @@ def unproved_margins(test: LinearTest, smooth: Smooth, given: Recording) -> jax.
     margins: jax.Array
     if not is_traced(given.u, given.y, test.reading):
         # margins are the last of the arrays, be there a status before them or not
-        *_, on_host = raw_outputs(test.measured(), given.u, given.y, given.starts)
+        *_, on_host = raw_outputs(test.measured(), given)
         margins = jax.device_put(on_host)
         return margins
     margins = _whole(smooth, test.reading, given.u, given.y, _gone(given, test.horizon))

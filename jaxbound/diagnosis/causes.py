@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
+from functools import cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -75,18 +76,28 @@ def diagnose(
     spread = np.linspace(0, len(others) - 1, min(len(others), MOST - 1)).round().astype(int)
     chosen += others[spread].tolist()
 
-    def one(k: int, candidates: Sequence[NamedFault] | None) -> Diagnosis:
+    @cache
+    def explained(k: int) -> WindowCertificate:
         at: int | tuple[int, ...] = k
         if recording:
             at = (*recording, k)
-        return result.explain(at).diagnose(candidates)
+        return result.explain(at)
+
+    def one(k: int, candidates: Sequence[NamedFault] | None) -> Diagnosis:
+        return explained(k).diagnose(candidates)
 
     diagnosis = one(chosen[0], faults)
     for k in chosen[1:]:
         if not diagnosis.explains:
             break
         diagnosis = diagnosis.and_of(one(k, [weighed.fault for weighed in diagnosis.explains]))
-    diagnosis = replace(diagnosis, of=len(fault), outside=_outside(result.departure, recording, chosen))
+    outside = ""
+    if result.departure is not None:
+        windows = result.departure.cut(recording).cut(np.array(chosen))
+        farthest = int(np.argmax(np.nan_to_num(windows.share, nan=0.0, posinf=np.inf)))
+        if windows.share[farthest] > 0:
+            outside = windows.words(farthest, explained(chosen[farthest]).test)
+    diagnosis = replace(diagnosis, of=len(fault), outside=outside)
     if diagnosis.explains or len(chosen) == 1:
         return diagnosis
     partly: dict[str, tuple[int, ...]] = {}
@@ -105,12 +116,3 @@ def diagnose(
 def _magnitude(weighed: FaultSize) -> Fraction:
     """Return how large a fault that explains a window is."""
     return abs(weighed.size or Fraction(0))
-
-
-def _outside(departure: Departure | None, recording: tuple[int, ...], chosen: Sequence[int]) -> str:
-    """Return the words on the window that lies farthest outside the region of training; "" for none."""
-    if departure is None:
-        return ""
-    windows = departure.cut(recording).cut(np.array(chosen))
-    share = np.nan_to_num(windows.share, nan=0.0, posinf=np.inf)
-    return windows.words()[int(np.argmax(share))]

@@ -4,7 +4,7 @@ import numpy as np
 
 from jaxbound.consistency.drive import end_to_end, windows
 from jaxbound.consistency.interface import Relations
-from jaxbound.recordings.recording import NOWHERE
+from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import sparing
 
 TOGETHER = 2**14
@@ -33,7 +33,7 @@ def exact_margins(
         here = slice(first, first + TOGETHER)
         rows = at[here, None] + before
         with sparing():
-            found = windows(test, flat_u[rows], flat_y[rows], NOWHERE).margin[:, -1]
+            found = windows(test, Recording(flat_u[rows], flat_y[rows])).margin[:, -1]
         exact[here] = np.where(found * exact[here] > 0, found, exact[here])
     return exact
 

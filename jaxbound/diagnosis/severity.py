@@ -18,7 +18,7 @@ from jaxbound.consistency.monitorbank import MonitorBank
 from jaxbound.diagnosis.alarmrule import AlarmRule
 from jaxbound.diagnosis.suspects import nameless
 from jaxbound.models.watched import YES
-from jaxbound.recordings.recording import NOWHERE, Recording
+from jaxbound.recordings.recording import Recording
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.status import Status
 
@@ -63,7 +63,7 @@ class Severity:
             return self._reached(0, np.asarray(u), np.asarray(y), fault)
         bank = cast(MonitorBank, self.relations)
         modes = bank.modes_of(np.asarray(u))
-        piece = Recording(np.asarray(u), np.asarray(y), NOWHERE)
+        piece = Recording(np.asarray(u), np.asarray(y))
         counts = np.zeros(len(fault), bool)
         for number in self.wider:
             own = fault & (by == number)
@@ -86,7 +86,7 @@ class Severity:
             assert not test.remembers, "an observer was refused"
             first, samples = stretches_around(at, relations.horizon)
             with sparing():
-                judged = windows(test, u[samples], y[samples], first[1:])
+                judged = windows(test, Recording(u[samples], y[samples], first[1:]))
             counts[at] = judged.status[np.searchsorted(samples, at)] == Status.FAULT
         return counts
 

@@ -95,12 +95,12 @@ class Watching:
         alarms = []
         for one in over:
             outside, words, test = None, "", ""
+            if self.names:
+                test = self.name_of(one.test)
             if self.region is not None:
                 outside = one.outside
                 if one.share > 0:
-                    words = self.region.words(one.by, one.reading)
-            if self.names:
-                test = self.name_of(one.test)
+                    words = self.region.words(one.by, one.reading, test)
             suspect = self._sized(one)
             alarm = Alarm(
                 one.start,

@@ -47,6 +47,13 @@ class Average:
         measured, number = self.place(outputs)
         return WeightedSum(measured, ((number, self.weights),))
 
+    def rounded_away(self, outputs: Sequence[str], resolution: Vector) -> Fraction:
+        """Return the part that rounding adds to the bound; of a disturbance, which nobody reads, 0."""
+        measured, number = self.place(outputs)
+        if not measured:
+            return Fraction(0)
+        return resolution[number] * sum(map(abs, self.weights), Fraction(0))
+
     @property
     def is_mean(self) -> bool:
         """Whether the sum is the mean of its samples."""

@@ -1,12 +1,13 @@
 """The region of training: between which ends each input of a model moved in the data that it was fitted to.
 
 Bounds that were found from data hold where the data were. A window that reads inputs outside of them has
-bounds that are wider by a factor of the model (`consistency.extrapolated`); what is said of it rests on
-extrapolation.
+bounds that are wider by a factor of the model, and by more the farther outside they lie
+(`consistency.extrapolated`); what is said of it rests on extrapolation.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -19,6 +20,10 @@ from jaxbound.models.window import input_lags
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.objects import readable
 
+GRADES = Fraction(1, 4), Fraction(1, 2), Fraction(1)
+"""Widths of its range that an input lies outside, at most: bounds grow by this share, and by no more than the
+last. An air handler of two days needed three times its bounds on a third, at .4 widths, and no more at .1.
+"""
 ROUNDED = 1e-6
 """Share of a range that is no excess: computed signals and narrower floats round."""
 UNIT = 2.0**-23
@@ -68,12 +73,16 @@ class Departure(NamedTuple):
         """The names of `by`, which is -1 where none is meant: that stands first."""
         return ("", *self.region.inputs)
 
-    def words(self) -> list[str]:
-        """Return the words on each of (N,) windows, "" of those inside."""
-        texts = [""] * len(self.share)
-        for i in np.flatnonzero(self.share > 0).tolist():
-            texts[i] = self.region.words(int(self.by[i]), float(self.reading[i]))
-        return texts
+    @property
+    def grade(self) -> np.ndarray:
+        """(..., T): the number of that of GRADES in which a window lies, -1 inside."""
+        return np.where(self.share > 0, _grade(self.share), -1)
+
+    def words(self, at: int, test: str = "") -> str:
+        """Return the words on one of (N,) windows, "" of one inside. test: see `Region.words`."""
+        if not self.share[at] > 0:
+            return ""
+        return self.region.words(int(self.by[at]), float(self.reading[at]), test)
 
 
 @jax.tree_util.register_static
@@ -83,8 +92,8 @@ class Region:
 
     Fields: inputs, units: of all inputs. lo, hi: (m,) their ends, NaN where none are stated. horizon: windows
     have horizon + 1 samples, of which they read the first `lags` of u. Those of an observer, which rests on
-    all samples before, are of the step that led to the sample. wider: how many times as wide bounds outside
-    are, of several tests at most.
+    all samples before, are of the step that led to the sample. wider: {test: its `extrapolation`, 1 where its
+    bounds outside are as inside}; "" for the name of a single one.
     """
 
     inputs: tuple[str, ...]
@@ -93,7 +102,7 @@ class Region:
     hi: np.ndarray
     horizon: int
     lags: int
-    wider: float = 1.0
+    wider: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, relations: Reach) -> "Region | None":
@@ -104,11 +113,11 @@ class Region:
         horizon = relations.horizon
         if relations.remembers:
             horizon = int(model.n > 0)
-        wider = 1.0 if relations.remembers else float(model.extrapolation or 1)
-        for part in getattr(relations, "parts", {}).values():  # of a monitor as far as its longest window
+        tests = getattr(relations, "parts", {}) or {"": relations}
+        wider = {name: _wider(part) for name, part in tests.items()}
+        for part in tests.values():  # of a monitor as far as its longest window
             if not part.remembers:
                 horizon = max(horizon, part.horizon)
-                wider = max(wider, float(part.model.extrapolation or 1))
         return replace(cls.between(model, model.ranges, horizon), wider=wider)
 
     @classmethod
@@ -142,8 +151,11 @@ class Region:
             share[missing], by[missing], reading[missing] = np.nan, -1, np.nan
         return Departure(share, by, reading, self)
 
-    def words(self, by: int, reading: float) -> str:
+    def words(self, by: int, reading: float, test: str = "") -> str:
         """Return an input's sample outside, beside the end of its range.
+
+        Args:
+            test: the name of that which judged, of a monitor; "": of some of its tests.
 
         Example:
             >>> region = Region(("valve",), ("",), np.array([0.0]), np.array([0.39]), 0, 1)
@@ -151,19 +163,28 @@ class Region:
             'valve at 1, training up to 0.39'
         """
         lo, hi = float(self.lo[by]), float(self.hi[by])
-        side, end = "up to", hi
+        side, end, over = "up to", hi, reading - hi
         if reading < lo:
-            side, end = "from", lo
+            side, end, over = "from", lo, lo - reading
         if lo == hi:
             side = "always at"
         unit = f" {self.units[by]}".rstrip()
-        wider = ""
-        if self.wider > 1:
-            wider = f", where bounds are {self.wider:.3g} times as wide"
         return (
             f"{self.inputs[by]} at {_apart(reading, end)}{unit}, training {side} {_apart(end, reading)}{unit}"
-            f"{wider}"
+            f"{self._wider_words(test, over / (hi - lo) if hi > lo else np.inf)}"
         )
+
+    def _wider_words(self, test: str, share: float) -> str:
+        """Return the words on bounds so many widths outside, "" where they are as inside."""
+        factors = set(self.wider.values())
+        if test in self.wider:
+            factors = {self.wider[test]}
+        most = max(factors, default=1.0)
+        if most == 1:
+            return ""
+        at_most = "up to " * (len(factors) > 1)
+        most *= 1 + float(GRADES[_grade(share)])
+        return f", where bounds are {at_most}{most:.3g} times as wide"
 
     @cached_property
     def tolerated(self) -> np.ndarray:
@@ -190,6 +211,41 @@ class Region:
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(excess > self.tolerated[j], excess / (self.hi[j] - self.lo[j]), 0.0)
         return share, np.where(below > above, low, high)
+
+
+def factors_outside(model: LinearSystem) -> tuple[Fraction, ...]:
+    """Return how many times as wide the bounds of a model are in each of GRADES; none: as inside."""
+    least = model.extrapolation or 1
+    if least == 1:
+        return ()
+    return tuple(least * (1 + grade) for grade in GRADES)
+
+
+def text_outside(model: LinearSystem) -> str:
+    """Return how wide the bounds of a model are outside, in words.
+
+    Example:
+        >>> text_outside(LinearSystem([[0.5]], [[1]], [[1]], extrapolation=1.2))
+        '1.2 times as wide, and more the farther outside, up to 2.4 times'
+    """
+    first, *_, last = map(float, (model.extrapolation or 1, *factors_outside(model)))
+    text = f"{first:.6g} times as wide"
+    if factors_outside(model):
+        text += f", and more the farther outside, up to {last:.6g} times"
+    return text
+
+
+def _grade(share: np.ndarray | float) -> np.ndarray:
+    """Return the number of that of GRADES in which excesses in widths lie."""
+    return np.searchsorted(np.array(GRADES[:-1], float), share)
+
+
+def _wider(test: Reach) -> float:
+    """Return the `extrapolation` of a test; bounds of an observer stay."""
+    model = test.model
+    if test.remembers or not isinstance(model, LinearSystem):
+        return 1.0
+    return float(model.extrapolation or 1)
 
 
 def _extreme(extreme: np.ufunc, samples: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from jaxbound.models.numbers import number, ordered_pair
 from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.expressions import expression, is_expression
 from jaxbound.recordings.means import EVERY
-from jaxbound.recordings.recordingformat import RECORDING, RecordingFormat
+from jaxbound.recordings.recordingformat import RECORDING, UNSTATED, RecordingFormat
 from jaxbound.text.names import listed
 
 Each: TypeAlias = Number | Sequence[Number] | np.ndarray | jax.Array
@@ -147,20 +147,37 @@ def sensors(
     noise: Each,
     resolution: Each | None,
     constant_tolerance: bool | np.bool_,
+    how: RecordingFormat = UNSTATED,
 ) -> Sensors:
-    """Check the arguments of a LinearSystem that speak of its sensors and return them exactly.
+    """Check the arguments of a LinearSystem that speak of its sensors and return them exactly. how: by the
+    deadband that it states a sample may be off, so an output without a resolution has that.
 
     Raises:
-        ValueError: a number that is not finite, a wrong number of them, a negative bound, a tolerance >= 1.
+        ValueError: a number that is not finite, a wrong number of them, a negative bound, a tolerance >= 1, a
+            resolution below the deadband.
     """
     if not isinstance(constant_tolerance, (bool, np.bool_)):
         raise ValueError(f"constant_tolerance must be True or False, not {constant_tolerance!r}")
     return Sensors(
         _bound("tolerance", tolerance, outputs),
         _bound("noise", noise, outputs),
-        _bound("resolution", 0 if resolution is None else resolution, outputs),
+        _with_deadbands(_bound("resolution", 0 if resolution is None else resolution, outputs), outputs, how),
         bool(constant_tolerance),
     )
+
+
+def _with_deadbands(resolution: Vector, outputs: tuple[str, ...], how: RecordingFormat) -> Vector:
+    """Return the resolutions, the deadband of an output where it has none."""
+    bands, both = how.deadbands(outputs), []
+    for name, stated in zip(outputs, resolution, strict=True):
+        if 0 < stated < bands[name]:
+            raise ValueError(
+                f"the resolution of {name!r}, {float(stated):g}, is below its deadband, "
+                f"{float(bands[name]):g}: it is what is rounded away and the deadband, "
+                f"{float(stated + bands[name]):g} in all"
+            )
+        both.append(stated or bands[name])
+    return tuple(both)
 
 
 def words(field: str, table: Mapping[str, str] | None, known: Collection[str]) -> Words:

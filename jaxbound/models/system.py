@@ -34,6 +34,7 @@ from jaxbound.models.times import times_of
 from jaxbound.models.uncertainty import Uncertainty, centred
 from jaxbound.models.unknown import Bounded, Coupling, Given, without_descriptor
 from jaxbound.recordings.factors import Factor
+from jaxbound.recordings.recordingformat import RECORDING, RecordingFormat
 from jaxbound.text.objects import readable
 from jaxbound.text.units import without_unit
 
@@ -125,7 +126,8 @@ class LinearSystem:
         left_out: how many times as wide as the smallest bounds those for a recording that was left out of the
             fit have to be, >= 1: `jb.fit` finds it, `jb.tune` keeps it. None: not known.
         extrapolation: how many times as wide as stated all bounds are for windows that read inputs outside
-            their `ranges`, >= 1: `jb.fit` finds it. None: as wide as stated.
+            their `ranges`, >= 1: `jb.fit` finds it; up to twice that the farther outside. None, 1: as wide as
+            stated.
         uncertainties: a sequence of `Uncertainty`: bounded parameters that change A, B, C, D. The given
             matrices are those at the value 0 of every parameter; .A, .B, .C, .D are kept at the middle of
             their bounds.
@@ -244,7 +246,8 @@ class LinearSystem:
         signals = model_signals(sizes, names, offset, units, columns, ranges)
         refuse_other_every(signals.columns, parts.dt, bool(times))
         length, sparse = _window(horizon, lags)
-        measured = sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance)
+        how = RecordingFormat.of(dict(signals.columns).get(RECORDING))
+        measured = sensors(signals.outputs, tolerance, noise, resolution, constant_tolerance, how)
         factors = times_of(times, signals, measured, bool(parts.uncertainties))
         measured = replace(measured, times=factors)
         vars(self).update(

@@ -10,6 +10,7 @@ from jaxbound.models.modelfile import model_document
 from jaxbound.models.statedtests import StatedTest
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.watched import watched
+from jaxbound.models.widths import widened, widened_ends
 
 SAME = ("dt", "inputs", "outputs")
 
@@ -64,16 +65,13 @@ def _widened(model: LinearSystem, factor: Fraction) -> LinearSystem:
     # exactly the model itself: verdicts that are kept are found again
     if factor == 1:
         return model
-    disturbance = []
-    for lo, hi in model.disturbance:
-        middle, radius = (lo + hi) / 2, (hi - lo) / 2
-        disturbance.append((middle - factor * radius, middle + factor * radius))
     changes: dict[str, Any] = {}
-    if disturbance:
-        changes["disturbance"] = model.G, disturbance
+    if model.g:
+        changes["disturbance"] = model.G, [widened_ends(ends, factor) for ends in model.disturbance]
+    means = widened(tuple(average.bound for average in model.averages), factor)
     return model.replace(
-        tolerance=[factor * x for x in model.tolerance],
-        noise=[factor * x for x in model.noise],
-        averages=[replace(average, bound=factor * average.bound) for average in model.averages],
+        tolerance=widened(model.tolerance, factor),
+        noise=widened(model.noise, factor),
+        averages=[replace(average, bound=x) for average, x in zip(model.averages, means, strict=True)],
         **changes,
     )

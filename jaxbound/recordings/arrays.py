@@ -136,7 +136,7 @@ def _factored(
     u, y = np.asarray(u), np.asarray(y)
     if tables:
         inputs = by_name(model, u)
-        values = [computed(x.expression, tables, "the recording", inputs) for x in factors_of(model)]
+        values = [computed(x.expression, tables, "the recording", model, inputs) for x in factors_of(model)]
     else:
         for factor in factors_of(model):
             _refuse_columns(model, factor)
@@ -183,7 +183,11 @@ def refuse_infinite(name: str, data: ArrayLike, channels: Sequence[str]) -> None
 
 
 def computed(
-    e: Expression, frames: Mapping[str, Any], name: str, given: Mapping[str, np.ndarray] = NO_TABLES
+    e: Expression,
+    frames: Mapping[str, Any],
+    name: str,
+    model: Named,
+    given: Mapping[str, np.ndarray] = NO_TABLES,
 ) -> np.ndarray:
     """Return the values of an Expression over the columns of DataFrames, and over their index by its name.
 
@@ -193,19 +197,17 @@ def computed(
     names = [*given]
     for frame in frames.values():
         names += [*frame.columns, str(frame.index.name)]
-    return _values(e.among(list(dict.fromkeys(names))), frames, name, given)
+    return _values(e.among(list(dict.fromkeys(names))), frames, name, model, given)
 
 
 def _values(
     e: Column | Expression,
     frames: Mapping[str, Any],
     name: str,
+    model: Named,
     given: Mapping[str, np.ndarray] = NO_TABLES,
-    model: Named | None = None,
 ) -> np.ndarray:
-    """Return the values of a signal, whose columns are called as they are in the tables; see `computed`.
-    model: whose sampling period it is, None: nothing here needs one.
-    """
+    """Return the values of a signal, whose columns are called as they are in the tables; see `computed`."""
     values: dict[str, np.ndarray] = {}
     if e.clock:
         values |= _told_by_clock(e, frames, model)
@@ -232,19 +234,14 @@ def _cells_of(column: str, frames: Mapping[str, Any]) -> "pd.Series":
     return next(x.index.to_series() for x in frames.values() if str(x.index.name) == column)
 
 
-def _told_by_clock(
-    e: Column | Expression, frames: Mapping[str, Any], model: Named | None
-) -> dict[str, np.ndarray]:
+def _told_by_clock(e: Column | Expression, frames: Mapping[str, Any], model: Named) -> dict[str, np.ndarray]:
     """Return the names that the times of the rows tell, see `expressions.derived`."""
     index = next(iter(frames.values())).index
     times = row_time(index, None, "", regular=False)
     since = times.time
     if since is not None and len(since):
         since = since - since[0]
-    dt = None
-    if model is not None:
-        dt = period(model, since)
-    return derived(e.clock, len(index), since, times.stamps, dt)
+    return derived(e.clock, len(index), since, times.stamps, period(model, since))
 
 
 def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, np.ndarray | None, list[str]]:
@@ -280,7 +277,7 @@ def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, np.ndarra
             cleaned[name] = cleaned[name].assign(**{column: numbers})
     condition, excluded, row = _condition(model), None, "row {}".format
     if condition is not None and cleaned:
-        excluded = fails(computed(condition, cleaned, "the recording"))
+        excluded = fails(computed(condition, cleaned, "the recording", model))
     refuse_odd(odd, excluded, row)
     hints += error_hints(odd, excluded, row)
     if condition is not None:
@@ -335,7 +332,7 @@ def _signals_by_name(model: Named, data: Data, name: str, channels: Sequence[str
     recorded: np.dtype = np.dtype(np.float64)
     for channel in channels:
         signal = column_for(channel, names, model, name)
-        numbers.append(_float_array(_values(signal, {"": data}, name, model=model), name))
+        numbers.append(_float_array(_values(signal, {"": data}, name, model), name))
         for column in signal.read:
             kind = _cells_of(column, {"": data}).dtype
             if getattr(kind, "numpy_dtype", kind) == np.float32:  # of pandas' own types

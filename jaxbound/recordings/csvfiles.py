@@ -2,6 +2,7 @@
 names.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from io import BytesIO, FileIO
@@ -19,7 +20,7 @@ from jaxbound.recordings.csvtext import (
     ENOUGH,
     FURTHER,
     MISSING_CELLS,
-    WIDE,
+    READ_AS,
     Head,
     Layout,
     above_header,
@@ -27,19 +28,21 @@ from jaxbound.recordings.csvtext import (
     head_of,
     is_value,
     layout_of,
+    wide_encoding,
 )
-from jaxbound.recordings.hold import DEADBAND, grid_of, held
+from jaxbound.recordings.hold import DEADBAND, INPUTS, grid_of, held
 from jaxbound.recordings.linetext import Cells, LineReader, Opened, reader_of, refuse_infinite
 from jaxbound.recordings.longformat import pivoted
 from jaxbound.recordings.oddcells import error_hints, no_number, refuse_odd, thousands, unsaid_hints
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import RecordingFormat, format_of
 from jaxbound.recordings.seams import may_turn_back, period_of, rows_apart
-from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Wanted
+from jaxbound.recordings.selection import NO_TIME, STAMPS, TELLING, Column, Wanted
 from jaxbound.recordings.signals import SignalModel, Signals
 from jaxbound.recordings.source import NUMBER, TEXT, WORDS, Outline, Progress, Source, with_hints
+from jaxbound.recordings.suspects import least_change
 from jaxbound.recordings.thousands import all_grouped, in_doubt, may_be_grouped
-from jaxbound.recordings.timestamps import order_of, parse_stamps
+from jaxbound.recordings.timestamps import NO_CLOCK, order_of, parse_stamps, without_clock
 from jaxbound.text.progress import reporter
 
 SIGNS = {".": "points", ",": "commas"}
@@ -136,15 +139,12 @@ def _opened(path: Path, how: RecordingFormat) -> tuple[Opened, Head]:
     UTF-8.
     """
     with open(path, "rb") as file:
-        first = file.read(4)
-    encoding = how.encoding
-    if first.startswith(WIDE):
-        encoding = "utf-16"
-    if encoding.startswith(("utf-16", "utf-32")):
+        encoding = wide_encoding(file.read(2), how)
+    if encoding:
         data = path.read_bytes().decode(encoding, "replace").removeprefix("\ufeff").encode()
         head = head_of(path, data[:ENOUGH])
-        return partial(BytesIO, data), head._replace(hints=(f"the file is read as {encoding.upper()}",))
-    return partial(FileIO, path), head_of(path, None, encoding)
+        return partial(BytesIO, data), head._replace(hints=(READ_AS.format(encoding.upper()),))
+    return partial(FileIO, path), head_of(path, None, how.encoding)
 
 
 def _wide(path: Path, model: SignalModel, how: RecordingFormat) -> tuple[Opened, Head, RecordingFormat]:
@@ -176,15 +176,16 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
     _refuse_empty(layout, plan, cells)
     time, stamps, hint = _times_of(reader, written, cells, model)
     is_shown = not hint  # the order of day and month
-    rows = _counting_rows(reader, opened, time, cells)
-    if written is not None and not rows.all():
-        cells, time, written = cells.kept(rows), time[rows], written.filter(to_arrow(rows))
-        if stamps is not None:
-            stamps = stamps[rows]
+    for counting in (_rows_of_samples, _counting_rows):
+        rows = counting(reader, opened, time, cells)
+        if written is not None and not rows.all():
+            cells, time, written = cells.kept(rows), time[rows], written.filter(to_arrow(rows))
+            if stamps is not None:
+                stamps = stamps[rows]
     if layout.how.hold and written is not None:
         reader.refuse(cells, None, layout.row)
+        hint = " ".join(filter(None, [hint, *_deadband_hints(layout.how, model, plan, cells)]))
         cells, time, stamps, written = _held(reader, cells, time, stamps, model)
-        hint = " ".join([hint, DEADBAND.format(hold=layout.how.hold)]).strip()
     columns = dict(cells.columns)
     if plan.time is not None:  # an expression may compare it with a date
         columns.setdefault(plan.time, time if stamps is None else stamps)
@@ -244,11 +245,28 @@ def _counting_rows(reader: LineReader, opened: Opened, time: np.ndarray, cells: 
         rows[1:] |= ~cells.repeated
         rows |= ~_repeated(opened, layout, rows)
         reason = "repeat the row before"
+    _leave_out(reader, reason, rows)
+    return rows
+
+
+def _rows_of_samples(reader: LineReader, opened: Opened, time: np.ndarray, cells: Cells) -> np.ndarray:
+    """Return (N,) bool: the rows whose times have a clock where those of others have one; others are
+    noted.
+    """
+    if cells.times is None or len(time) < 2:
+        return np.ones(len(time), bool)
+    rows = ~without_clock(cells.times, time, float(np.median(np.diff(time))))
+    _leave_out(reader, NO_CLOCK, rows)
+    return rows
+
+
+def _leave_out(reader: LineReader, reason: str, rows: np.ndarray) -> None:
+    """Note rows, those of (N,) bool that are False, as left out."""
+    layout = reader.layout
     gone = [layout.number(int(k)) for k in np.flatnonzero(~rows)]
     if gone:
         reader.left[reason] = gone
         layout.blank[:] = sorted([*layout.blank, *gone])
-    return rows
 
 
 def _repeated(opened: Opened, layout: Layout, rows: np.ndarray) -> np.ndarray:
@@ -283,6 +301,20 @@ def _held(
         stamps = stamps[0] + np.round((grid - time[0]) * 1e9).astype("timedelta64[ns]")
     written = to_arrow(grid if stamps is None else stamps)
     return Cells(columns, None, {}, len(grid), cells.decimal), grid, stamps, written
+
+
+def _deadband_hints(how: RecordingFormat, model: SignalModel, plan: Wanted, cells: Cells) -> Iterator[str]:
+    """Yield sentences on the deadbands that are not stated, and those that inputs seem to be written by."""
+    seen: dict[str, str] = {}
+    for name, signal in zip((*model.inputs, *model.outputs), (*plan.inputs, *plan.outputs), strict=True):
+        if isinstance(signal, Column) and least_change(cells.columns[signal.name]):
+            seen[name] = f"{name}:{least_change(cells.columns[signal.name]):.6g}"
+    of_outputs = [seen[name] for name in model.outputs if name in seen]
+    if not how.deadband:
+        perhaps = f", as they changed perhaps {','.join(of_outputs)}" * bool(of_outputs)
+        yield DEADBAND.format(hold=how.hold, seen=perhaps)
+    if len(seen) > len(of_outputs):
+        yield INPUTS.format(seen=",".join(seen[name] for name in model.inputs if name in seen))
 
 
 _FileTimes = tuple[np.ndarray, np.ndarray | None, str]

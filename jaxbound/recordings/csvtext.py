@@ -38,6 +38,7 @@ BLANK = (
 )
 WIDE = b"\xff\xfe", b"\xfe\xff"
 """What text in UTF-16 begins with."""
+READ_AS = "the file is read as {}"
 ZEROS = b"\0\0"
 """What a power cut leaves in a file: blocks of zero bytes."""
 SIGNATURES = {
@@ -129,6 +130,15 @@ class Head(NamedTuple):
     lines: list[str]
     encoding: str
     hints: tuple[str, ...] = ()
+
+
+def wide_encoding(first: bytes, how: RecordingFormat) -> str:
+    """Return the encoding of text with two bytes a letter or four, "" of other text. first: its bytes."""
+    if how.encoding.startswith(("utf-16", "utf-32")):
+        return how.encoding
+    if first.startswith(WIDE):
+        return "utf-16"
+    return ""
 
 
 def head_of(path: Path, head: bytes | None = None, encoding: str = "") -> Head:

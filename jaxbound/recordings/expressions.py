@@ -41,6 +41,8 @@ ANGLE, RATE = "angle", "rate"
 PERIODIC = SIN, COS = "sin", "cos"
 WRAPS = 0.1
 """Share of its range up to which a counter that falls has run over: beyond, it may have begun anew."""
+QUARTER = np.pi / 2  # of a turn: an angle that moves on by more may have gone the other way
+FULL_TURN = "2 * pi"
 LATE = 1.2
 """Usual steps from which on the sample before is too long ago for a rate."""
 
@@ -74,6 +76,19 @@ def rate(step: np.ndarray, x: np.ndarray, over: float | None = None) -> np.ndarr
         grown = np.where((grown < 0) & (again <= WRAPS * over), again, grown)
     grows: np.ndarray = np.where(grown < 0, np.nan, grown) / step
     return grows
+
+
+def turning(step: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return by how much an angle grows in a second, (N,) radians, the shorter way around: by 2 degrees from
+    359 to 1. NaN at the first sample and where it is more than a quarter of a turn.
+
+    Args:
+        step: (N,) seconds since the sample before. x: (N,) radians.
+    """
+    turned = np.diff(x, prepend=np.nan)
+    turned = turned - 2 * np.pi * np.rint(turned / (2 * np.pi))
+    turns: np.ndarray = np.where(abs(turned) > QUARTER, np.nan, turned) / step
+    return turns
 
 
 FUNCTIONS: dict[str, Operation] = {name: getattr(np, name) for name in NAMES_OF_FUNCTIONS}
@@ -216,10 +231,13 @@ class Expression:
                     return column.astype(np.float64, copy=False)
                 return column
             case ast.Call():
-                called = ast.unparse(node.func)
+                called = _calls(node)
+                operation = FUNCTIONS[called]
                 if called == RATE:
                     parts = [columns[STEP], *parts]
-                return FUNCTIONS[called](*parts)
+                if called == RATE and _calls(node.args[0]) == ANGLE:
+                    operation = turning
+                return operation(*parts)
             case ast.BoolOp():
                 return reduce(LOGIC[type(node.op)], parts)
             case ast.Compare():
@@ -288,14 +306,10 @@ def derived(
 def _steps(since: np.ndarray, dt: float | None) -> np.ndarray:
     """Return (N,) seconds since the sample before, NaN behind a gap and where the clock does not go on.
 
-    Without dt a usual step is one that 19 of 20 do not exceed.
+    Without dt no step is a gap: of means, see `means.grid_of`, none behind a hole counts.
     """
     steps = np.diff(since, prepend=np.nan)
-    forward = steps[steps > 0]
-    if not len(forward):
-        return np.full(len(since), np.nan)
-    usual = dt or float(np.quantile(forward, 0.95, method="inverted_cdf"))
-    return np.where((steps > 0) & (steps <= LATE * usual), steps, np.nan)
+    return np.where((steps > 0) & (steps <= LATE * (dt or np.inf)), steps, np.nan)
 
 
 def _as_number(x: Value) -> Value:
@@ -357,6 +371,10 @@ def expression(text: str) -> Expression:
         return WORDS.get(word, word)
 
     tree = _parsed(text, PIECES.sub(as_python, text).strip())
+    for node in ast.walk(tree):  # a number, whatever columns are called
+        if isinstance(node, ast.Call) and _calls(node) == ANGLE:
+            if list(map(ast.unparse, node.args[1:])) == [FULL_TURN]:
+                node.args[1] = ast.Constant(2 * np.pi)
     nodes = list(ast.walk(tree))
     _check_nodes(text, nodes)
     texts, strings = _compared_with_text(nodes)
@@ -400,8 +418,14 @@ def _is_angle(text: str) -> bool:
     """Return whether an expression is an angle and nothing else."""
     whole = expression(f"{SIN}({text})").tree
     assert isinstance(whole, ast.Call)
-    inner = whole.args[0]
-    return isinstance(inner, ast.Call) and ast.unparse(inner.func) == ANGLE
+    return _calls(whole.args[0]) == ANGLE
+
+
+def _calls(node: ast.AST) -> str:
+    """Return the name of the function that a node calls, "" where it calls none."""
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        return node.func.id
+    return ""
 
 
 def _parsed(text: str, code: str) -> ast.expr:
@@ -447,10 +471,12 @@ def _check_second(text: str, node: ast.Call, name: str) -> None:
     first, *others = node.args or [node.func]
     if not node.args or not any(isinstance(part, ast.Name) for part in ast.walk(first)):
         raise ValueError(f"the expression {text!r} gives {name} no column")
+    if others and name == RATE and _calls(first) == ANGLE:
+        raise ValueError(f"the expression {text!r}: the angle says what is once around: rate takes it alone")
     for other in others:
         number = getattr(other, "value", None)
         if len(others) > 1 or not isinstance(number, int | float) or not number > 0:
-            like = {ANGLE: "400 of gon", RATE: "65536"}[name]
+            like = {ANGLE: "400 of gon or 2*pi", RATE: "65536"}[name]
             raise ValueError(
                 f"the expression {text!r}: behind the column {name} takes one number above 0, like {like}"
             )
@@ -461,15 +487,19 @@ def _refuse_bare_angle(text: str, nodes: Iterable[ast.AST]) -> None:
     inside: set[int] = set()
     angles: list[ast.Call] = []
     for node in nodes:
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-            if node.func.id in PERIODIC:
-                inside.update(map(id, ast.walk(node)))
-            if node.func.id == ANGLE:
-                angles.append(node)
+        if not isinstance(node, ast.Call):
+            continue
+        if _calls(node) in PERIODIC:
+            inside.update(map(id, ast.walk(node)))
+        if _calls(node) == RATE:
+            inside.add(id(node.args[0]))
+        if _calls(node) == ANGLE:
+            angles.append(node)
     if any(id(node) not in inside for node in angles):
         raise ValueError(
             f"the expression {text!r}: an angle jumps where it is once around, so it is no signal by itself: "
-            f"take sin(angle(..)) and cos(angle(..)), or a signal that is angle(..) and nothing else"
+            f"take sin(angle(..)) and cos(angle(..)), or a signal that is angle(..) and nothing else; "
+            f"rate(angle(..)) is how fast it turns"
         )
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from jaxbound.recordings.factors import known
+from jaxbound.recordings.recordingformat import format_of
 from jaxbound.recordings.signals import Named
 from jaxbound.text.names import listed
 
@@ -64,14 +65,15 @@ def rounding_hints(model: Named, y: np.ndarray) -> Iterator[str]:
     resolution: Sequence[float] | None = getattr(model, "resolution", None)
     if resolution is None:
         return
-    outputs: dict[str, list[str]] = {}
+    bands = format_of(model).deadbands(model.outputs)
+    outputs: dict[tuple[str, float], list[str]] = {}
     for i, name in enumerate(model.outputs):
-        step = recorded_step(y[:, i])
-        if step and float(resolution[i]) < step / 2 * (1 - 1e-9):
-            outputs.setdefault(f"{step:.6g}", []).append(name)
-    for written, names in outputs.items():
+        step, band = recorded_step(y[:, i]), float(bands[name])
+        if step and float(resolution[i]) - band < step / 2 * (1 - 1e-9):
+            outputs.setdefault((f"{step:.6g}", band), []).append(name)
+    for (written, band), names in outputs.items():
         multiple = f"every sample of {listed(names, str)} is a multiple of {written}"
-        advice = f"add `resolution = {float(written) / 2:.6g}` there in the model file"
+        advice = f"add `resolution = {float(written) / 2 + band:.6g}` there in the model file"
         yield f"{multiple}, more than the resolution that the model states: if the recorder rounds, {advice}"
 
 

@@ -1,8 +1,8 @@
 """Recordings that are written when a value changes, as samples that are dt apart: the last value stands for
 so long as is stated.
 
-What the recorder does not write, changes below its deadband, is an error within a bound: that of the
-deadband, which belongs in `resolution`.
+What the recorder does not write, changes below its deadband, is an error within a bound: the deadband, where
+it is stated, is a bound of each output, see `models.signals.sensors`.
 """
 
 from collections.abc import Mapping
@@ -13,8 +13,12 @@ from jaxbound.recordings.clockintervals import seconds_of
 from jaxbound.recordings.seams import VARIED, Clock, tick
 
 DEADBAND = (
-    "values stand for at most {hold} (hold): changes that the recorder did not write are errors, so its "
-    "deadband belongs to the `resolution` of each output"
+    "values stand for at most {hold} (hold): changes that the recorder did not write are errors: state its "
+    "`deadband` beside hold{seen}"
+)
+INPUTS = (
+    "inputs changed by a deadband or more, perhaps {seen}: a model takes them as they are recorded, so that "
+    "bounds of disturbances have to hold the rest"
 )
 NEVER = -1
 

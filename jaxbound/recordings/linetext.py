@@ -34,6 +34,7 @@ from jaxbound.recordings.oddcells import OddCells, no_number, refuse_odd
 from jaxbound.recordings.recordingformat import RecordingFormat
 from jaxbound.recordings.selection import wanted
 from jaxbound.recordings.signals import SignalModel
+from jaxbound.recordings.thousands import is_grouped
 from jaxbound.recordings.timestamps import DATES, parse_stamps, with_day
 
 if TYPE_CHECKING:
@@ -111,6 +112,7 @@ class LineReader:
         self.plain: set[str] = set()  # columns of a stream in which usual numbers came
         self.unsigned: set[str] = set()  # those of a stream whose notation no cell has shown yet
         self.signs: dict[str, str] = {}  # of columns of a stream, the decimal sign that came first
+        self.sure: set[str] = set()  # those of which it cannot be for thousands
         self.left: dict[str, list[int]] = {}
         self.sign = ""  # of most numbers, where some cells hold none
         self.is_text = time is not None and (
@@ -140,7 +142,10 @@ class LineReader:
 
     def _read(self, opened: Opened) -> Cells:
         """Return the cells of all rows, in the notation of the file."""
-        for decimal in self.layout.decimals:
+        signs = self.layout.decimals
+        if self.signs:  # those of a stream
+            signs = tuple(sorted(signs, key=[*self.signs.values(), *signs].index))
+        for decimal in signs:
             # the first rows may be whole numbers, which do not show the decimal sign of those below
             table = self._table(opened, decimal)
             if table is not None:
@@ -301,19 +306,50 @@ class LineReader:
             for name, x in cells.columns.items():
                 if x.dtype != object and not np.isnan(x).all():
                     self.plain.add(name)
-                    has_sign = name != self.plan.time and bool((x[np.isfinite(x)] % 1 != 0).any())
-                    if has_sign and self.signs.setdefault(name, cells.decimal) != cells.decimal:
-                        raise ValueError("other decimal signs came before")
+                    is_known = name in self.sure and self.signs[name] == cells.decimal
+                    if name != self.plan.time and not is_known:
+                        self._show_signs(name, x, lines, cells.decimal)
             return cells
         rows: list[list[str]] = []
         for line in lines:
-            row = self.layout.text(line).split(self.layout.delimiter)
-            if b'"' in line:
-                row = self.layout.cells(line)
+            row = self.row_of(line)
             if len(row) != len(self.layout.names) or self.layout.is_open(line):
                 raise ValueError(self.trouble(line))
             rows.append(row)
         return self._without_missing(self._plain_cells(rows))
+
+    def row_of(self, line: bytes) -> list[str]:
+        """Return the cells of a line: `layout.cells`, sooner."""
+        if b'"' in line:
+            return self.layout.cells(line)
+        return self.layout.text(line).split(self.layout.delimiter)
+
+    def _show_signs(self, name: str, x: np.ndarray, lines: Sequence[bytes], sign: str) -> None:
+        """Note the decimal sign that the cells of a column of numbers, (N,), show in some lines.
+
+        Raises:
+            ValueError: the column has shown another one before.
+        """
+        rows: list[int] = np.flatnonzero(x % 1 != 0)[:FEW].tolist()
+        if len(self.layout.decimals) > 1:  # else a sign behind whole numbers is no other
+            rows += [k for k, line in enumerate(lines) if may_end_in_zeros(line)]
+        for k in rows:
+            if not self._shows_sign(name, self.row_of(lines[k])[self.index[name]], sign):
+                raise ValueError("other decimal signs came before")
+            if name in self.sure and self.signs[name] == sign:
+                break
+
+    def _shows_sign(self, name: str, cell: str, sign: str) -> bool:
+        """Note the decimal sign that a cell shows; return whether it is the first one of its column.
+
+        A cell like 1.002 shows it as long as no other tells that its sign is for thousands.
+        """
+        if sign not in cell:
+            return True
+        is_first = self.signs.setdefault(name, sign) == sign
+        if is_first and not is_grouped(cell.strip()):
+            self.sure.add(name)
+        return is_first
 
     def trouble(self, line: bytes) -> str:
         """Return the trouble with a line, as far as its cells show; or ""."""
@@ -385,10 +421,10 @@ class LineReader:
             is_known = number is not None and np.isnan(number)
             if name == self.plan.time or is_known:
                 continue
-            shows = number is not None and name not in self.notations and best_sign in cell
-            if shows and self.signs.setdefault(name, best_sign) != best_sign:
-                best[name] = None  # 1.002 and 998,5: one of them may have a sign for thousands
-            elif number is None or name in self.notations:
+            shows = number is not None and name not in self.notations
+            if shows and not self._shows_sign(name, cell, best_sign):
+                number = None  # 1.002 and 998,5: one of them may have a sign for thousands
+            if number is None or name in self.notations:
                 best[name] = self._noted_number(name, cell)
             else:
                 self.plain.add(name)
@@ -402,12 +438,13 @@ class LineReader:
             "plain": sorted(self.plain),
             "unsigned": sorted(self.unsigned),
             "signs": self.signs,
+            "sure": sorted(self.sure),
         }
 
     def resume(self, memory: Mapping[str, Any]) -> None:
         """Go on with the notations of a stream. memory: of another reader; {}: there is none."""
         self.plain, self.unsigned = {*memory.get("plain", ())}, {*memory.get("unsigned", ())}
-        self.signs = dict(memory.get("signs", {}))
+        self.signs, self.sure = dict(memory.get("signs", {})), {*memory.get("sure", ())}
         for name, fields in memory.get("notations", {}).items():
             self.notations[name] = Notation(**fields | {k: tuple(fields[k]) for k in ("on", "off")})
 
@@ -425,9 +462,30 @@ class LineReader:
             self.unsigned.add(name)
             if shown.shows_signs(cell):
                 self.unsigned.remove(name)
+        elif notation is None:
+            notation = self._grouped(name, cell)
         if notation is None:
             return None
         return notation.number(cell)
+
+    def _grouped(self, name: str, cell: str) -> Notation | None:
+        """Return the notation with signs for thousands that a cell shows first, behind usual numbers that
+        have shown their decimal sign, or where that is stated; None where it shows none.
+        """
+        import pyarrow as pa
+
+        sign, how = "", self.layout.how
+        if how.decimal or how.thousands:
+            sign = self.layout.decimals[0]
+        elif name in self.sure:
+            sign = self.signs[name]
+        else:
+            return None
+        shown = notation_of(pa.array([cell]), (sign,), replace(how, decimal=sign))
+        if shown is None or shown.unit or not shown.thousands:
+            return None
+        self.notations[name] = shown
+        return shown
 
     def _table(self, opened: Opened, decimal: str | None) -> "dict[str, pa.Array] | None":
         """Return the wanted columns; None where some row or cell cannot be read. decimal: of numbers; None:
@@ -599,6 +657,11 @@ def reader_of(head: Head, model: SignalModel, how: RecordingFormat) -> LineReade
                 )
             return reader
         raise
+
+
+def may_end_in_zeros(line: bytes) -> bool:
+    """Return whether a whole number may stand in a line with zeros behind a sign: else it has no sign."""
+    return b".0" in line or b",0" in line
 
 
 def refuse_infinite(name: str, x: np.ndarray, excluded: np.ndarray | None, row: Callable[[int], str]) -> None:

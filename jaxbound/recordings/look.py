@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from os import PathLike
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxbound.recordings.hints import recorded_step
+from jaxbound.recordings.otherunits import other_units
 from jaxbound.recordings.read import kind_of, open_source
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import (
@@ -35,9 +38,16 @@ from jaxbound.text.progress import Progress, reporter
 from jaxbound.text.units import without_unit
 
 MOST = 1_000_000  # samples that are looked at of a recording that is read in pieces
+ENOUGH = 1 << 28  # bytes that are looked at of what comes out of a pipe
 BINS = 600  # of a picture
 FEW_WORDS = 20  # that stand for missing samples
 SET = 0.2  # share of steps up to which a column that is set by somebody changes
+GIVEN = re.compile(
+    r"set.?point|\bsp\b|command|\bcmd\b|control.signal|demand|valve|damper|outdoor|outside|ambient|weather"
+    r"|solar",
+    re.IGNORECASE,
+)
+"""Names of what the plant is told, and of what surrounds it: what it does changes neither."""
 SHOWN, NAMED = 40, 12  # columns of the table, names of the command, that are shown at most
 USUAL = {"header": 1, "delimiter": ",", "decimal": ".", "encoding": "utf-8"}
 WIDE = 26  # letters of a name in the table
@@ -93,7 +103,7 @@ class LookedColumn:
         name, span, step = self.name, "", ""
         if len(name) > wide:  # names of one plant begin alike
             name = f"{name[:8]}...{name[11 - wide :]}"
-        if self.kind == NUMBER:
+        if self.kind == NUMBER and np.isfinite(self.low):
             span = f"{self.low:.5g} .. {self.high:.5g}"
         if self.resolution:
             step = f"{self.resolution:.4g}"
@@ -155,7 +165,8 @@ class Look:
     def extent(self) -> str:
         """The numbers of samples and of columns, in words."""
         kinds = [column.kind for column in self.columns]
-        return f"{self.samples} samples of {kinds.count(NUMBER)} columns of numbers"
+        count = kinds.count(NUMBER)
+        return f"{self.samples} samples of {count} column{'s' * (count != 1)} of numbers"
 
     @property
     def findings(self) -> list[Finding]:
@@ -215,12 +226,13 @@ def look(
 
     Nothing is refused that a sentence can tell: columns that cannot be read are listed with the reason. What
     stands still, may stand for a missing sample, or is no level (an angle, a counter) is named. Which columns
-    are inputs only you know: the command takes those that change rarely for some.
+    are inputs only you know: the command takes those that change rarely for some, and those that are named as
+    commands, valves or weather are.
 
     Args:
-        data: a path, as `read` takes it, or a table. recording: how the file is written, as for `read`. dt:
-            sampling period in s, for a recording without times. progress: called with the share of the work
-            done.
+        data: a path, as `read` takes it, "-" for standard input, or a table. recording: how the file is
+            written, as for `read`. dt: sampling period in s, for a recording without times. progress: called
+            with the share of the work done.
 
     Returns:
         A Look, which `plot` draws.
@@ -239,6 +251,19 @@ def look(
         >>> found.command.partition(" --inputs ")[2]
         "heater --outputs 'wind=angle(wind),T [degC]' --out plant.toml"
     """
+    with kind_of(data).kept(data, ENOUGH) as kept:
+        found = _look(kept, recording, dt, progress)
+        if kept is data:
+            return found
+        hints = found.hints
+        if Path(str(kept)).stat().st_size == ENOUGH:
+            hints = (f"{ENOUGH >> 20} MiB came and it had not ended: only these are shown", *hints)
+    name = {"-": "standard input"}.get(str(data), Path(str(data)).name)
+    return replace(found, source=name, hints=hints, command=found.command.replace(str(kept), "FILE"))
+
+
+def _look(data: object, recording: Stated, dt: float | None, progress: Progress | None) -> Look:
+    """Return a look at data that can be read more than once."""
     report = reporter(progress, "read")
     stated = with_format({}, recording)
     outline = kind_of(data).outline(data, RecordingFormat.of(stated.get(RECORDING)))
@@ -268,6 +293,9 @@ def look(
             columns.append(LookedColumn(name, "unread", findings=(Finding("not read", sentence),)))
         elif name:
             columns.append(LookedColumn(name, TEXT))
+    for name, sentence in other_units(run.outputs, run.y):
+        i = [column.name for column in columns].index(name)
+        columns[i] = replace(columns[i], findings=(*columns[i].findings, Finding("unit?", sentence)))
     period, hints, every = _clock_of(run, clock is not None)
     if clock is not None and period is None:
         hints = (*hints, *_row_a_tag(columns))
@@ -446,7 +474,7 @@ def _command(door: _Door, columns: Sequence[LookedColumn], every: str) -> str:
     """Return the command that fits a model to a recording. every: interval of means that is needed, or ""."""
     entries: dict[str, list[str]] = {"--inputs": [], "--outputs": []}
     for column in columns:
-        is_set = column.changes <= SET and column.entry == column.name
+        is_set = (column.changes <= SET or GIVEN.search(column.name)) and column.entry == column.name
         entries["--inputs" if is_set else "--outputs"].append(column.entry)
     if not any(entries["--outputs"]):
         entries = {"--outputs": entries["--inputs"]}

@@ -157,19 +157,22 @@ class Unfinished(NamedTuple):
             begun = np.append(begun, self.begun)
         return vars(self.rows) | {"shown": self.shown, "origin": origin, "begun": begun}
 
-    def over(self, every: str, follows: bool | None = False) -> tuple[Grid, "Unfinished"]:
+    def over(
+        self, every: str, follows: bool | None = False, rates: bool = False
+    ) -> tuple[Grid, "Unfinished"]:
         """Return (the intervals that are over and count, the samples that are left behind them).
 
         Args:
             every: the interval. follows: whether a recording follows, which may hold a sample for the last
-                interval; None: samples follow, so that this one is over as soon as the next begins.
+                interval; None: samples follow, so that this one is over as soon as the next begins. rates:
+                see `grid_of`.
 
         Raises:
             ValueError: an interval that is shorter than the usual step. TooShort: of a recording, none is
                 over.
         """
         rows, step = self.rows, usual_step(self.shown, every)
-        grid = _intervals([rows.instant], every, step, self.origin, self.begun is not None)
+        grid = _intervals([rows.instant], every, step, self.origin, rates, self.begun is not None)
         lost = np.flatnonzero(rows.broken)
         grid.lacks(np.append(lost, lost[lost > 0] - 1))
         done = len(grid.whole) - 1
@@ -192,22 +195,19 @@ def every_of(model: Named) -> str | None:
     return columns.get(EVERY)
 
 
-def with_every(
-    columns: Mapping[str, str] | None, dt: float | None, every: str | None
-) -> tuple[dict[str, str], float | None]:
-    """Return (columns, dt) of samples that are means over an interval; as they are where `every` is None.
+def every_step(columns: Mapping[str, str], dt: float | None) -> float | None:
+    """Return the dt of samples that are means over an interval; of others dt as it is.
 
     Raises:
         ValueError: another dt, or no interval.
     """
-    columns = dict(columns or {})
-    every = every or columns.get(EVERY)
+    every = columns.get(EVERY)
     if every is None:
-        return columns, dt
+        return dt
     seconds = seconds_of(every)
     if dt is not None and abs(dt - seconds) > 1e-9 * seconds:
         raise ValueError(f"every = {every!r} makes dt = {seconds:g} s: leave out dt = {dt:g}")
-    return columns | {EVERY: every}, seconds
+    return seconds
 
 
 def refuse_every(model: Named, what: str) -> None:
@@ -283,13 +283,17 @@ def _length(every: str, usual: int) -> int:
 
 
 def grid_of(
-    chunks: Iterable[np.ndarray], every: str, usual: int, origin: np.datetime64 | None = None
+    chunks: Iterable[np.ndarray],
+    every: str,
+    usual: int,
+    origin: np.datetime64 | None = None,
+    rates: bool = False,
 ) -> Grid:
     """Return the intervals of a recording.
 
     Args:
         chunks: times in ns from `instants`, in order. every: the interval. usual: from `usual_step`. origin:
-            what dates count from.
+            what dates count from. rates: whether signals look back, so that no sample behind a hole counts.
 
     Raises:
         ValueError: an interval that is shorter than the usual step, or no interval that is whole.
@@ -302,7 +306,7 @@ def grid_of(
             last = int(chunk[-1]) if len(chunk) else last
             yield chunk
 
-    grid = _intervals(seen(), every, usual, origin)
+    grid = _intervals(seen(), every, usual, origin, rates)
     counted = grid.counted(grid.done(last, usual))
     _refuse_none(counted, every, WHOLE)
     return counted
@@ -319,6 +323,7 @@ def _intervals(
     every: str,
     usual: int,
     origin: np.datetime64 | None,
+    rates: bool,
     has_before: bool = False,
 ) -> Grid:
     """Return the intervals of rows, whole where no sample is lacking between these; arguments as of `grid_of`
@@ -338,7 +343,7 @@ def _intervals(
         own = instant // length
         step = np.diff(instant)
         begins = np.flatnonzero((np.diff(own) != 0) | (step < 0)) + 1
-        odd += [at + row for row in _beside_holes(instant, own, step, usual, length)]
+        odd += [at + row for row in _beside_holes(instant, own, step, usual, length, rates)]
         if not len(last):
             begins = np.append(0, begins)
             if not has_before and (instant[0] - usual) // length >= own[0]:
@@ -354,9 +359,11 @@ def _intervals(
 
 
 def _beside_holes(
-    instant: np.ndarray, number: np.ndarray, step: np.ndarray, usual: int, length: int
+    instant: np.ndarray, number: np.ndarray, step: np.ndarray, usual: int, length: int, rates: bool
 ) -> list[np.ndarray]:
-    """Return the rows before and behind a hole in whose interval a sample is lacking."""
+    """Return the rows before and behind a hole in whose interval a sample is lacking; rates: see
+    `grid_of`.
+    """
     back = step < 0
     before = np.flatnonzero(back | (step > HOLE * usual))
     behind = before + 1
@@ -364,7 +371,7 @@ def _beside_holes(
     is_back = back[before]
     low = np.where(is_back, next_one, np.minimum(next_one, one_before))
     high = np.where(is_back, one_before, np.maximum(next_one, one_before))
-    return [before[low <= number[before]], behind[high >= number[behind]]]
+    return [before[low <= number[before]], behind[rates | (high >= number[behind])]]
 
 
 def _with_empty(grid: Grid) -> Grid:

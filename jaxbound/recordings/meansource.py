@@ -25,6 +25,7 @@ from jaxbound.recordings.means import (
 )
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.selection import looks_back
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import PartSource, Progress, Source, with_hints
 from jaxbound.recordings.timestamps import SECOND
@@ -74,7 +75,7 @@ class MeansSource(Source):
         recorded = read(progress=progress)
         left = recorded.unfinished(self.before)
         try:
-            grid, behind = left.over(self.every, self.goes_on)
+            grid, behind = left.over(self.every, self.goes_on, bool(looks_back(self.model)))
         except TooShort:
             self.rest = left
             raise
@@ -117,7 +118,7 @@ class PartMeans(PartSource, MeansSource):
         clock = raw.clock(ROWS, raw.samples)
         chunks = (instants(seconds, dates, origin) for seconds, dates in clock)
         try:
-            return grid_of(chunks, self.every, usual, origin)
+            return grid_of(chunks, self.every, usual, origin, bool(looks_back(self.model)))
         except ValueError as e:
             raise ValueError(f"{raw.path}: {e}") from None
 

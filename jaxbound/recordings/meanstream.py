@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxbound.recordings.means import FIRST, Unfinished, every_of
 from jaxbound.recordings.recording import Recording
+from jaxbound.recordings.selection import looks_back
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Stream
 
@@ -30,6 +31,7 @@ class MeansStream(Stream):
         self.reading, self.raw, self.units = reading, reading.raw, reading.units
         self.every = every_of(model) or ""
         self.left: Unfinished | None = None  # samples that are in no mean yet
+        self.rates = bool(looks_back(model))
         self.zero: int | None = None  # number of the first interval that counts
         if memory is not None:
             self._resume_clock(memory)
@@ -80,7 +82,7 @@ class MeansStream(Stream):
         self.left = left
         if len(left.shown) < FIRST:
             return None
-        over, self.left = left.over(self.every, None)
+        over, self.left = left.over(self.every, None, self.rates)
         if not len(over.number):
             return None
         if self.zero is None:

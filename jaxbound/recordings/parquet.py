@@ -34,7 +34,7 @@ from jaxbound.recordings.parquetfiles import (
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import RecordingFormat, format_of
 from jaxbound.recordings.seams import period_of, rows_apart
-from jaxbound.recordings.selection import NO_TIME, STAMPS, Wanted, looks_back
+from jaxbound.recordings.selection import NO_TIME, STAMPS, Wanted
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.source import NUMBER, PROBE, TEXT, Outline, PartSource
 from jaxbound.recordings.timestamps import in_ns, iso_stamps, since_epoch, time_label
@@ -395,11 +395,6 @@ def open_parquet(path: str | PathLike[str], model: SignalModel) -> ParquetSource
         how_many = "one row" if rows[-1] else "no row"
         raise ValueError(f"{path}: {how_many} of data: a recording has at least two")
     plan = plan_of(list(types), types, model, dated)
-    if not getattr(model, "regular", True) and looks_back(model):
-        raise ValueError(
-            f"{path}: {looks_back(model)!r} and means over intervals do not go together in Parquet: compute "
-            f"the rate beforehand, as a column"
-        )
     single = any(types.get(c) == pa.float32() for signal in plan.outputs for c in signal.read)
     dtype = np.dtype(np.float32 if single else np.float64)
     hints: tuple[str, ...] = ()

@@ -6,6 +6,8 @@ spans it. What has been taken is remembered in a few numbers and lines, so that 
 behind it, whether the sender begins again or not.
 """
 
+import codecs
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -18,8 +20,26 @@ import numpy as np
 from jaxbound.recordings.columns import Arrow, to_arrow
 from jaxbound.recordings.counting import Counting, Numbers, numbers_of
 from jaxbound.recordings.csvlines import BOM, split_lines
-from jaxbound.recordings.csvtext import BLANK, FURTHER, MISSING_CELLS, UNENDED, head_of, is_number, is_value
-from jaxbound.recordings.linetext import Cells, LineReader, of_one, reader_of, refuse_infinite
+from jaxbound.recordings.csvtext import (
+    BLANK,
+    FURTHER,
+    MISSING_CELLS,
+    READ_AS,
+    UNENDED,
+    WIDE,
+    head_of,
+    is_number,
+    is_value,
+    wide_encoding,
+)
+from jaxbound.recordings.linetext import (
+    Cells,
+    LineReader,
+    may_end_in_zeros,
+    of_one,
+    reader_of,
+    refuse_infinite,
+)
 from jaxbound.recordings.oddcells import thousands
 from jaxbound.recordings.recording import Recording, Samples, Times
 from jaxbound.recordings.recordingformat import RecordingFormat, format_of
@@ -28,7 +48,14 @@ from jaxbound.recordings.selection import Moments
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, digests_of
 from jaxbound.recordings.thousands import Doubt
-from jaxbound.recordings.timestamps import order_in_words, order_of, parse_stamps, since_epoch
+from jaxbound.recordings.timestamps import (
+    NO_CLOCK,
+    order_in_words,
+    order_of,
+    parse_stamps,
+    since_epoch,
+    without_clock,
+)
 
 SOURCE = "standard input"
 LONGEST = 1 << 20  # bytes of a line
@@ -64,6 +91,9 @@ class PipeText(Stream):
     ) -> None:
         super().__init__(model, complain, taken)
         format_of(model).refuse_in("a pipe", "hold", "equal", "long")
+        self.undecided: bytes | None = b""  # the first bytes, as long as they do not show the encoding
+        self.wide = ""  # the encoding of text with several bytes a letter
+        self.decoder: codecs.IncrementalDecoder | None = None  # of such text
         self.tail = self.rest = b""  # half a line; half a line of a process before
         self.head: list[bytes] = []  # the header and the first row of data, perhaps a line with the delimiter
         self.reader: LineReader | None = None  # as soon as there is a row of data
@@ -84,6 +114,7 @@ class PipeText(Stream):
         self.returns = 0  # carriage returns at the end, which may be the first half of a line end
         self.replaying = False  # the lines that come are those that a process before had judged
         self.was_broken = False  # behind the last sample of that one
+        self.was_before: dict[str, np.ndarray] = {}
         self.before: dict[str, np.ndarray] = {}  # the last row, where a signal looks back
         self.line = b""  # the last row
         self.shown: list[float] | None = []
@@ -94,10 +125,16 @@ class PipeText(Stream):
 
     def _resume_from(self, memory: dict[str, Any]) -> None:
         """Go on from a memory."""
+        if memory.get("wide"):
+            self.wide, held, flag = memory["wide"]
+            self.decoder = codecs.getincrementaldecoder(self.wide)("replace")
+            self.decoder.setstate((held.encode("latin-1"), flag))
         self._understand([line.encode("latin-1") for line in memory["head"]])
         reader = self._known_reader
         reader.layout = replace(reader.layout, skip=0)
         reader.resume(memory.get("reader", {}))
+        for name, fields in memory.get("doubts", {}).items():
+            self.doubts[name] = Doubt(**fields)
         self.rest = memory["tail"].encode("latin-1")
         if self.rest == b"\r":
             self.rest, self.returns = b"", 1
@@ -108,6 +145,9 @@ class PipeText(Stream):
         if memory["numbers"] is not None:
             counting, scale, origin = memory["numbers"]
             self.numbers = Numbers(Counting(*counting), scale, origin)
+        for name, cell in memory.get("before", {}).items():
+            self.was_before[name] = np.array([cell], object if name in reader.texts else float)
+        self.before = self.was_before
         self.broken, self.resumed = memory["broken"], memory["number"]
         self.was_broken, self.shown = self.broken, None
 
@@ -117,10 +157,15 @@ class PipeText(Stream):
         """
         if self.reader is None:
             return None
-        broken = self.broken or bool(self.blank)
+        broken, before = self.broken or bool(self.blank), self.before
         if self.replaying:
-            broken = self.was_broken
+            broken, before = self.was_broken, self.was_before
+        wide = None
+        if self.decoder is not None:
+            held, flag = self.decoder.getstate()
+            wide = self.wide, held.decode("latin-1"), flag
         return {
+            "wide": wide,
             "head": [line.decode("latin-1") for line in self.head],
             "number": max(self.number, self.resumed),
             "tail": (self.rest + self.tail + b"\r"[: self.returns]).decode("latin-1"),
@@ -131,7 +176,9 @@ class PipeText(Stream):
             "texts": self.texts,
             "order": self.order,
             "broken": broken,
+            "before": {name: x.item() for name, x in before.items() if x.dtype.kind != "M"},
             "reader": self.reader.memory(),
+            "doubts": {name: vars(doubt) for name, doubt in self.doubts.items()},
         }
 
     def ended(self) -> None:
@@ -152,13 +199,29 @@ class PipeText(Stream):
             ValueError: no header, a column that is missing, another sampling period than the model's, a
                 megabyte without a line end.
         """
-        rows = self._rows(self._lines(arrival))
+        rows = self._rows(self._lines(self._narrow(arrival)))
         pieces = [piece for piece in self._pieces(rows) if piece.samples] if rows else []
         if not pieces:
             return None
         whole = reduce(Recording.followed, pieces)
         self._refuse_period(whole.time)
         return whole
+
+    def _narrow(self, data: bytes) -> bytes:
+        """Return bytes of text with several bytes a letter in UTF-8, and others as they are."""
+        if self.undecided is not None:
+            data = self.undecided + data
+            self.undecided = data
+            if len(data) < 2:
+                return b""
+            self.undecided, wide = None, wide_encoding(data, format_of(self.model))
+            if wide and self.decoder is None:
+                self.wide, self.decoder = wide, codecs.getincrementaldecoder(wide)("replace")
+            elif self.decoder is not None and data.startswith(WIDE):  # the sender begins again
+                self.decoder.reset()
+        if self.decoder is None:
+            return data
+        return self.decoder.decode(data).encode()
 
     def label(self, when: str | float) -> str:
         """Return a time from `when` as a reader would write it."""
@@ -293,7 +356,9 @@ class PipeText(Stream):
         """
         how = format_of(self.model)
         try:
-            begun = head_of(Path(SOURCE), b"\n".join(head) + b"\n", how.encoding)
+            begun = head_of(Path(SOURCE), b"\n".join(head) + b"\n", "" if self.wide else how.encoding)
+            if self.wide:
+                begun = begun._replace(hints=(READ_AS.format(self.wide.upper()),))
             reader = reader_of(begun._replace(lines=begun.lines[: len(head)]), self.model, how)
         except ValueError as e:
             self.doubtful = ValueError(f"{SOURCE}: {str(e).replace('the file', 'the stream')}")
@@ -382,7 +447,8 @@ class PipeText(Stream):
         import pyarrow as pa
 
         if self._known_reader.is_text:
-            time, _, _ = parse_stamps(pa.array([*self.texts, cell]), self.dt, str, self._format)
+            cells = pa.array([*self.texts, cell])
+            time, _, _ = parse_stamps(cells, self.dt, str, self._format, self.clock.last)
             return float(time[-1] - time[-2])
         assert self.numbers is not None, "there was a row of data"
         number = since_epoch(np.array([float(cell.replace(",", "."))]))
@@ -484,9 +550,14 @@ class PipeText(Stream):
         lines = [line for _, line in rows]
         again = np.array(lines, object) == np.array([self.line, *lines[:-1]], object)
         if plan.time is not None and again.any() and self.dt < SUMMER:
-            return self._once(rows, again)
+            return self._others(rows, again, "repeats the line before")
         if cells.times is not None:
             times = self._text_times(cells.times)
+            alone = self._without_clock(cells.times, times[0])
+            if self.replaying:
+                alone &= ~self.taken.knows(digests)
+            if alone.any():
+                return self._others(rows, alone, of_one(NO_CLOCK))
         elif plan.time is not None:
             times = self._number_times(cells.columns[plan.time])
         else:  # rows are dt apart
@@ -509,13 +580,23 @@ class PipeText(Stream):
         self.line = rows[-1][1]
         return self._seamed(piece, rows)
 
-    def _once(self, rows: list[Line], again: np.ndarray) -> Recording:
-        """Return the samples of lines without those that say again what the line before says."""
+    def _without_clock(self, cells: Arrow, time: np.ndarray) -> np.ndarray:
+        """Return (N,) bool: which of these rows have a date without a clock, see `without_clock`."""
+        import pyarrow as pa
+
+        step, before = self.dt, self.texts
+        if not self.regular:
+            step = self.clock.last / max(self.clock.samples - 1, 1) or math.inf
+        every = pa.concat_arrays([pa.array(before, pa.string()), cells])
+        return without_clock(every, np.append([0, self.clock.last][: len(before)], time), step)[len(before) :]
+
+    def _others(self, rows: list[Line], gone: np.ndarray, reason: str) -> Recording:
+        """Return the samples of lines without those that are none."""
         left: list[Line] = []
-        for row, is_again in zip(rows, again.tolist(), strict=True):
-            if is_again:
+        for row, is_gone in zip(rows, gone.tolist(), strict=True):
+            if is_gone:
                 self.no_rows += 1
-                self.complain("line", f"line {row[0]} repeats the line before: left out")
+                self.complain("line", f"line {row[0]} {reason}: left out")
             else:
                 left.append(row)
         if left:
@@ -532,7 +613,7 @@ class PipeText(Stream):
             if before and not self.broken:
                 behind = 1
                 since = np.append(before[TIME], since)
-                columns = {name: np.append(before[name], x) for name, x in columns.items()}
+                columns = {name: np.append(before.get(name, x[:1]), x) for name, x in columns.items()}
                 if stamps is not None:
                     stamps = np.append(stamps[:1], stamps)
         u, y, excluded = plan.samples(columns, count + behind, (since, stamps), dt=self.dt)
@@ -543,17 +624,21 @@ class PipeText(Stream):
     def _refuse_doubt(self, cells: Cells, excluded: np.ndarray | None, rows: list[Line]) -> None:
         """Refuse a number whose decimal sign may be a sign for thousands, behind whole ones."""
         reader = self._known_reader
-        for name, doubt in self.doubts.items():
+        doubts = {name: doubt for name, doubt in self.doubts.items() if not doubt.over}
+        if not doubts:
+            return
+        zeros = np.fromiter((may_end_in_zeros(line) for _, line in rows), bool, len(rows))
+        for name, doubt in doubts.items():
             values, at = cells.columns[name], reader.index[name]
             if excluded is not None:
                 values = np.where(excluded, np.nan, values)
-            odd = doubt.next_odd(values, partial(self._cell, rows, at))
+            odd = doubt.next_odd(values, zeros | (values % 1 != 0), partial(self._cell, rows, at))
             if odd:
-                raise ValueError(f"of {thousands(name, [f'{odd} behind whole numbers'])}")
+                raise ValueError(f"of {thousands(name, [odd])}")
 
     def _cell(self, rows: list[Line], at: int, k: int) -> str:
         """Return a cell of the line of row k."""
-        return self._known_reader.layout.cells(rows[k][1])[at]
+        return self._known_reader.row_of(rows[k][1])[at]
 
     def _digests(self, cells: Cells) -> np.ndarray:
         """Return the digests of rows: of their time as it is written, and of all cells that are read."""
@@ -659,10 +744,12 @@ class PipeText(Stream):
         if cells.null_count:
             raise ValueError("has no time")
         every = pa.concat_arrays([pa.array(before, pa.string()), cells])
-        period = None
+        period = last = None
         if self.regular:
             period = self.dt
-        time, stamps, hint = parse_stamps(every, period, lambda k: "", self._format)
+        if before:
+            last = self.clock.last
+        time, stamps, hint = parse_stamps(every, period, "".format, self._format, last)
         if stamps is not None and not hint and not self._format.time_format:
             self.order = order_of(every, stamps)
             if self.order and self.hinted:

@@ -3,6 +3,7 @@
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -16,11 +17,12 @@ from jaxbound.recordings.clockintervals import every_text
 from jaxbound.recordings.csvfiles import CsvFile
 from jaxbound.recordings.expressions import is_expression
 from jaxbound.recordings.live import LiveSource
-from jaxbound.recordings.means import every_of, with_every
+from jaxbound.recordings.means import every_of, every_step
 from jaxbound.recordings.meansource import means_source
+from jaxbound.recordings.otherunits import other_units
 from jaxbound.recordings.parquet import ParquetSource
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.recordingformat import Formatted, RecordingFormat, Stated
+from jaxbound.recordings.recordingformat import Formatted, RecordingFormat, Stated, format_of
 from jaxbound.recordings.seams import FEW, TOLERATED_DT, UNITS, varied_steps
 from jaxbound.recordings.signals import Named, SignalModel, Signals, signals_of
 from jaxbound.recordings.source import KINDS, Outline, Source
@@ -154,12 +156,25 @@ class ReadOnce(Source):
             raise ValueError(
                 "standard input is read by `jaxbound detect MODEL.toml -`: give the name of a file here"
             )
+        with self.kept(self.data) as path:
+            return replace(open_source(path, self.model).read(progress=progress), source=self.label)
+
+    @classmethod
+    @contextmanager
+    def kept(cls, data: object, most: int | None = None) -> Iterator[object]:
+        """Yield the path of a file with the bytes that come out of the pipe, as long as it is needed."""
+        named: str | int = str(data)
+        if named == "-":
+            named = 0
         with tempfile.NamedTemporaryFile(prefix="jaxbound-") as file:
-            with open(str(self.data), "rb") as pipe:
-                shutil.copyfileobj(pipe, file)
+            with open(named, "rb", closefd=named != 0) as pipe:
+                if most is None:
+                    shutil.copyfileobj(pipe, file)
+                else:
+                    file.write(pipe.read(most))
             file.flush()
             try:
-                return replace(open_source(file.name, self.model).read(progress=progress), source=self.label)
+                yield file.name
             except ValueError as e:
                 raise ValueError(str(e).replace(f"{file.name}: ", "", 1)) from None
 
@@ -203,7 +218,7 @@ def read_signals(
     columns |= {signal[0]: signal[1] for signal in (*inputs, *outputs) if not isinstance(signal, str)}
     if dt is not None and not 0 < dt < np.inf:
         raise ValueError(f"dt must be a positive number of seconds, not {dt:g}")
-    columns, dt = with_every(columns, dt, None)
+    dt = every_step(columns, dt)
     model = Signals(tuple(map(_name_of, inputs)), tuple(map(_name_of, outputs)), columns, dt)
     recordings: list[Recording] = []
     for i, path in enumerate(paths):
@@ -223,12 +238,17 @@ def read_signals(
 
 def _no_levels(model: SignalModel, r: Recording) -> Iterator[str]:
     """Yield a sentence on each signal that is taken as a level from a column that is none."""
+    how = format_of(model)
     for names, samples in ((model.inputs, r.u), (model.outputs, r.y)):
         for name, x in zip(names, samples.T, strict=False):  # factors stand behind the inputs
             if is_expression(model.column(name)):
                 continue
-            for _, sentence in suspicions(name, model.column(name), np.asarray(x, float)):
-                yield sentence
+            for kind, sentence in suspicions(name, model.column(name), np.asarray(x, float)):
+                if kind != "on change" or not (how.hold or how.deadband or names is model.inputs):
+                    yield sentence
+    for name, sentence in other_units((*model.inputs, *model.outputs), r.u[:, : model.m], r.y):
+        if not is_expression(model.column(name)):
+            yield sentence
 
 
 def _name_of(signal: Signal) -> str:

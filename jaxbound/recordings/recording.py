@@ -35,7 +35,7 @@ from jaxbound.recordings.means import (
 )
 from jaxbound.recordings.recordingformat import UNSTATED, RecordingFormat
 from jaxbound.recordings.seams import Clock, all_starts, around, aside, check_period, crossing, tick
-from jaxbound.recordings.selection import without_looks_of
+from jaxbound.recordings.selection import looks_back, without_looks_of
 from jaxbound.recordings.signals import Named, SignalModel, signals_of
 from jaxbound.recordings.table import Data, as_table, is_table, paired
 from jaxbound.recordings.tabletime import row_time
@@ -146,7 +146,7 @@ class Recording:
             if np.size(starts):
                 raise ValueError(f"every = {every!r} and starts do not go together: times show the gaps")
             left = recorded.unfinished()
-            grid, _ = left.over(every)
+            grid, _ = left.over(every, rates=bool(looks_back(model)))
             means = recorded.averaged(grid, left.rows, len(model.inputs))
             _, seams = tick(Clock(seconds_of(every)), means.time)
             return replace(means, starts=_union(seams, around(means.excluded)))

@@ -4,6 +4,7 @@ import codecs
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import Any, TypeAlias
 
 from jaxbound.recordings.clockintervals import seconds_of
@@ -33,8 +34,9 @@ class RecordingFormat:
             "Europe/Berlin".
         missing: words and numbers that stand for missing samples. on, off: words for 1 and 0.
         hold: how long a sample stands for blank cells behind it, like "10min", in files that are written when
-            a value changes; with dt known samples are that far apart then. equal: the row that counts among
-            those of one time, "first" or "last".
+            a value changes; with dt known samples are that far apart then. deadband: the largest change that
+            is not written, of all outputs, "0.5", or of some, "T1:0.5": as far the truth may be from a
+            sample. equal: the row that counts among those of one time, "first" or "last".
         long: the columns of tags and of their values in files with a row a tag.
     """
 
@@ -54,6 +56,7 @@ class RecordingFormat:
     on: tuple[str, ...] = ()
     off: tuple[str, ...] = ()
     hold: str = ""
+    deadband: tuple[str, ...] = ()
     equal: str = ""
     long: tuple[str, ...] = ()
 
@@ -90,6 +93,8 @@ class RecordingFormat:
             raise ValueError(f"{RECORDING} has {found.decimal!r} for decimals and for thousands")
         if bool(found.on) != bool(found.off):
             raise ValueError(f"{RECORDING} needs words for on and off, or none of both")
+        _refuse_numbers("on", found.on, 1.0)
+        _refuse_numbers("off", found.off, 0.0)
         return found
 
     @property
@@ -100,13 +105,24 @@ class RecordingFormat:
     @property
     def numbers(self) -> tuple[float, ...]:
         """The numbers that stand for missing samples."""
-        numbers = []
-        for word in self.missing:
-            try:
-                numbers.append(float(word.replace(",", ".")))
-            except ValueError:  # a word
-                continue
-        return tuple(numbers)
+        return tuple(_numbers(self.missing).values())
+
+    def deadbands(self, outputs: Sequence[str]) -> dict[str, Fraction]:
+        """Return {output: its deadband}, 0 where none is stated.
+
+        Raises:
+            ValueError: one of a signal that is no output: a model takes an input as it is recorded.
+        """
+        bands = dict.fromkeys(outputs, Fraction(0))
+        for text in self.deadband:
+            name, _, number = text.rpartition(":")
+            if name and name not in bands:
+                raise ValueError(
+                    f"deadband of {RECORDING} is for outputs, {name!r} is none: of an input, which counts as "
+                    f"it is recorded, a disturbance takes what changes below it do"
+                )
+            bands |= dict.fromkeys([name] if name else outputs, Fraction(number))
+        return bands
 
     def refuse_in(self, where: str, *names: str) -> None:
         """Raise ValueError if one of these fields is stated. where: it cannot be, like "a pipe"."""
@@ -147,6 +163,12 @@ def with_format(columns: Mapping[str, str] | None, given: Stated) -> dict[str, s
     return columns
 
 
+def without_deadband(columns: Mapping[str, str]) -> dict[str, str]:
+    """Return `columns` of a model whose outputs have no bound by a deadband."""
+    how = RecordingFormat.of(columns.get(RECORDING))
+    return with_format({k: v for k, v in columns.items() if k != RECORDING}, replace(how, deadband=()))
+
+
 class Formatted:
     """The signals of a model whose recordings are written in another format than it states.
 
@@ -177,6 +199,27 @@ def format_of(model: object) -> RecordingFormat:
     """Return the format that the columns of a model state."""
     columns: Mapping[str, str] = getattr(model, "columns", {})
     return RecordingFormat.of(columns.get(RECORDING))
+
+
+def _numbers(words: Iterable[str]) -> dict[str, float]:
+    """Return {word: number} of those that are numbers."""
+    numbers = {}
+    for word in words:
+        try:
+            numbers[word] = float(word.replace(",", "."))
+        except ValueError:  # a word
+            continue
+    return numbers
+
+
+def _refuse_numbers(name: str, words: Iterable[str], meant: float) -> None:
+    """Refuse words for on or off that are other numbers: a column of numbers is read as it is."""
+    for word, number in _numbers(words).items():
+        if number != meant:
+            remedy = "an expression like `pump - 1` makes 1 of 2"
+            raise ValueError(
+                f"{name} of {RECORDING} must be words: {word} is a number, read as it is; {remedy}"
+            )
 
 
 def _text(value: object) -> str:
@@ -257,6 +300,21 @@ def _interval(value: object) -> str:
     return str(value)
 
 
+def _bands(value: object) -> tuple[str, ...]:
+    """Return deadbands as texts, "0.5" or "T1:0.5"."""
+    if isinstance(value, Mapping):
+        value = [f"{name}:{number}" for name, number in value.items()]
+    bands = _texts(value)
+    for text in bands:
+        try:
+            is_one = Fraction(text.rpartition(":")[2]) > 0
+        except (ValueError, ZeroDivisionError):
+            is_one = False
+        if not is_one:
+            raise ValueError(f"must be a number above 0, 0.5, or one of an output, T1:0.5: not {text!r}")
+    return bands
+
+
 def _two(value: object) -> tuple[str, ...]:
     """Return two names of columns."""
     names = _texts(value)
@@ -288,6 +346,7 @@ READERS: Mapping[str, Callable[[Any], Any]] = {
     "on": _texts,
     "off": _texts,
     "hold": _interval,
+    "deadband": _bands,
     "equal": _which,
     "long": _two,
 }

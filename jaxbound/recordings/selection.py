@@ -151,7 +151,7 @@ class Wanted:
         """
         since, stamps = moments
         if self.model is not None:
-            dt = dt or period(self.model, since)
+            dt = period(self.model, since, dt)
         columns = {**columns, **derived(self.clock, count, since, stamps, dt)}
         for name in self.numbers if self.missing else ():
             if name in columns and name != self.time:
@@ -229,12 +229,14 @@ def without_looks_of(excluded: np.ndarray, model: Named, names: Sequence[str]) -
     return without_looks(excluded, signals)
 
 
-def period(model: Named, since: np.ndarray | None) -> float | None:
+def period(model: Named, since: np.ndarray | None, dt: float | None = None) -> float | None:
     """Return the sampling period in s of a model, or that of times, (N,) s; None where there need not be
-    one.
+    one. dt: it, where it is known.
     """
     if since is None or not getattr(model, "regular", True):
         return None
+    if dt:
+        return dt
     steps = np.diff(since)
     if getattr(model, "dt", None) or not (steps > 0).any():
         return getattr(model, "dt", None)

@@ -5,6 +5,7 @@ A kind whose recordings fit into memory says which data are its own (`takes`) an
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
@@ -127,6 +128,16 @@ class Source:
             ValueError: a kind whose columns are not known before it is read.
         """
         raise ValueError(f"{data} can be read once only: save it in a file to look at it")
+
+    @classmethod
+    @contextmanager
+    def kept(cls, data: object, most: int | None = None) -> Iterator[object]:
+        """Yield data that can be read more than once: these, of a pipe a file with its bytes.
+
+        Args:
+            most: bytes of a pipe that are read.
+        """
+        yield data
 
     @classmethod
     def digest(cls, data: object) -> str | None:

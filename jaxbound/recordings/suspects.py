@@ -1,10 +1,12 @@
-"""Columns that are no levels: angles, which jump where they are once around, and counters, which grow until
-they begin at 0 again. These are hints: no proof uses them.
+"""Columns that are no levels, or none of each row: angles, which jump where they are once around, counters,
+which grow until they begin at 0 again, and what is recorded on change. These are hints: no proof uses them.
 """
 
 from collections.abc import Iterator
 
 import numpy as np
+
+from jaxbound.recordings.hints import recorded_step
 
 FEW = 20  # numbers that show nothing yet
 TURN = 360.0
@@ -13,14 +15,17 @@ SOME = 3  # different numbers at either end of a turn: a switch has one
 ENDS = 20.0  # of a turn
 FALLS = 0.02  # share of steps that may fall in a counter
 GROWS = 0.2  # share of steps that grow in one
+RARE = 0.5  # share of rows that change, at most, of what is recorded on change
+CHANGES, VALUES = 50, 10  # of these, and different numbers: fewer are of what somebody sets
+CLOSE = 3.0  # least changes that half of all changes do not exceed: a deadband is just exceeded
 NEAR = 0.95  # share of its range that a counter has reached where it runs over
 OVER = (256, 1000, 10_000, 32_768, 65_536, 100_000, 1_000_000, 10_000_000, 2**31, 2**32)
 """Numbers at which counters begin at 0 again."""
 
 
 def suspicions(name: str, column: str, x: np.ndarray) -> Iterator[tuple[str, str]]:
-    """Yield ("angle", "counter" or "count", a sentence) on a signal that is no level, with the entry of
-    --inputs or --outputs to type in quotes.
+    """Yield ("angle", "counter", "count" or "on change", a sentence) on a signal that is no level, with what
+    is to be typed in quotes: the entry of --inputs or --outputs, or an option.
 
     Args:
         name: of the signal. column: it is taken from. x: (N,) its numbers, NaN where there is none.
@@ -30,7 +35,7 @@ def suspicions(name: str, column: str, x: np.ndarray) -> Iterator[tuple[str, str
         [('angle', 'wind jumps from 359 to 0, as an angle does, which is no level: "wind=angle(W)" takes its
         sine and cosine')]
     """
-    x = x[np.isfinite(x)]
+    rows, x = len(x), x[np.isfinite(x)]
     if len(x) < FEW or x.min() == x.max():
         return
     cell = f"`{column}`"
@@ -51,6 +56,29 @@ def suspicions(name: str, column: str, x: np.ndarray) -> Iterator[tuple[str, str
             event, over = f"{name} grows but for {falls} falls, as a counter does", _over(x, steps)
         growth = f'"{name}=rate({cell}{over})" takes its growth in a second'
         yield "counter", f"{event}, which is no level: {growth}"
+    elif np.count_nonzero(steps) <= RARE * rows and least_change(x):
+        band = f"{least_change(x):.6g}"
+        event = f"{name} stands still, or changes by {band} or more, as what is recorded on change does"
+        yield "on change", f'{event}: of an output --recording "deadband={name}:{band}" bounds the rest'
+
+
+def least_change(x: np.ndarray) -> float:
+    """Return the least change among numbers, (N,), that a recorder seems to have written when they changed by
+    more than its deadband, which is less; 0 of others.
+
+    Example:
+        >>> round(least_change(np.cumsum(np.where(np.arange(90) % 4 < 2, 0.51, -0.62))), 6)
+        0.51
+    """
+    x = x[np.isfinite(x)]
+    changes = abs(np.diff(x))
+    changes = changes[changes > 0]
+    if len(changes) < CHANGES or len(np.unique(x)) < VALUES:
+        return 0.0
+    least = float(changes.min())
+    if np.median(changes) > CLOSE * least or least < 2 * recorded_step(x):
+        return 0.0
+    return least
 
 
 def _is_angle(x: np.ndarray, steps: np.ndarray) -> bool:

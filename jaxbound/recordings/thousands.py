@@ -5,7 +5,6 @@ numbers by thousands always have three, of which some end in 0. Where a column s
 length, nothing is guessed: files of one plant must not be read in two ways.
 """
 
-import math
 import re
 from collections.abc import Callable
 
@@ -15,6 +14,7 @@ from jaxbound.recordings.columns import Arrow
 
 GROUPED = re.compile(r"[-+]?[0-9]{1,3}([.,' \u00a0\u202f][0-9]{3})+([.,][0-9]+)?")
 """A number with signs for thousands, as spreadsheets show it."""
+SIGNED = re.compile("[.,]")
 CLOSER = 10  # times that one reading must be closer to the samples around it to be the one
 
 
@@ -75,30 +75,57 @@ def all_grouped(cells: Arrow, sign: str) -> str:
 
 class Doubt:
     """The doubt on one column of a stream, whose lines come a few at a time: a cell with a sign is left out
-    behind one without, unless it lies close to it as a decimal, until some decimal has another length.
+    behind one without, and one without behind one with a sign, unless they lie close as decimals, until some
+    decimal has another length.
+
+    Args:
+        small, grouped: the last numbers without a sign and with one. over: whether the doubt is.
     """
 
-    def __init__(self) -> None:
-        self.small, self.over = 0.0, False  # the last number without a sign; whether the doubt is over
+    def __init__(self, small: float = 0.0, grouped: float = 0.0, over: bool = False) -> None:
+        self.small, self.grouped, self.over = small, grouped, over
 
-    def next_odd(self, values: np.ndarray, cells: Callable[[int], str]) -> str:
-        """Return the first cell that is in doubt, "" where none is, and take the numbers before it.
+    def next_odd(self, values: np.ndarray, signed: np.ndarray, cells: Callable[[int], str]) -> str:
+        """Return the first cell that is in doubt and what it comes behind, "" where none is, and take the
+        numbers before it.
 
         Args:
-            values: (N,) the next numbers, as decimals. cells: number of one of them -> its text.
+            values: (N,) the next numbers, as decimals. signed: (N,) bool, False where their texts have no
+                sign for sure. cells: number of one of them -> its text.
         """
-        for k in np.flatnonzero(np.isfinite(values) & (values != 0)):
+        known = np.flatnonzero(np.isfinite(values) & (values != 0))
+        suspects = map(cells, known[signed[known]].tolist())
+        if not len(known) or self.over:
+            return ""
+        if not self.grouped and not any(map(SIGNED.search, suspects)):
+            whole = np.abs(values[known])  # as most columns of whole numbers go on
+            self.small, self.over = float(whole[-1]), bool((whole >= 1000).any())
+            return ""
+        for k in known:
             if self.over:
                 break
-            x = abs(float(values[k]))
-            if x == math.floor(x):
-                self.small, self.over = x, x >= 1000
-                continue
-            self.over = re.fullmatch(r"[-+]?[1-9][0-9]{0,2}[.,][0-9]{3}", cells(int(k)).strip()) is None
-            is_close = CLOSER * abs(x - self.small) < abs(1000 * x - self.small)
-            if self.small and not self.over and not is_close:
-                return cells(int(k)).strip()
+            x, cell = abs(float(values[k])), cells(int(k)).strip()
+            if SIGNED.search(cell):
+                self.over = not is_grouped(cell)
+                if not self.over and self.small and not _is_close(x, self.small):
+                    return f"{cell} behind whole numbers"
+                self.grouped = x
+            else:
+                self.over = x >= 1000
+                if not self.over and self.grouped and not _is_close(self.grouped, x):
+                    return f"{cell} behind {self.grouped:.3f}"
+                self.small = x
         return ""
+
+
+def is_grouped(cell: str) -> bool:
+    """Return whether a number with one sign may be a whole one, by thousands."""
+    return re.fullmatch(r"[-+]?[1-9][0-9]{0,2}[.,][0-9]{3}", cell) is not None
+
+
+def _is_close(grouped: float, small: float) -> bool:
+    """Return whether a number with a sign lies close to one without as a decimal."""
+    return CLOSER * abs(grouped - small) < abs(1000 * grouped - small)
 
 
 def _matching(cells: Arrow, pattern: str) -> np.ndarray:

@@ -131,8 +131,9 @@ def elapsed(cells: Arrow) -> np.ndarray | None:
     return None
 
 
-def zoned(stamps: np.ndarray, zones: Arrow) -> np.ndarray:
-    """Return local times (N,) of named zones as those of Greenwich.
+def zoned(stamps: np.ndarray, zones: Arrow, second: float | None = None) -> np.ndarray:
+    """Return local times (N,) of named zones as those of Greenwich. second: as `localized` takes it, where
+    both have one zone.
 
     Raises:
         ValueError: a zone that is not known, some stamps with and some without one, a time that the clock of
@@ -152,13 +153,16 @@ def zoned(stamps: np.ndarray, zones: Arrow) -> np.ndarray:
         if minutes is not None:
             found[here] = stamps[here] - np.timedelta64(minutes, "m")
         else:
-            found[here] = localized(stamps[here], name)
+            found[here] = localized(stamps[here], name, second if here[:2].all() else None)
     return found
 
 
-def localized(stamps: np.ndarray, zone: str) -> np.ndarray:
+def localized(stamps: np.ndarray, zone: str, second: float | None = None) -> np.ndarray:
     """Return times (N,) of the clock of a zone as those of Greenwich. Of an hour that the clock has twice the
     first is meant, until it goes back.
+
+    Args:
+        second: seconds from the first to the second, where those between, now gone, told them.
 
     Raises:
         ValueError: no such zone; a time that its clock leaves out.
@@ -176,11 +180,14 @@ def localized(stamps: np.ndarray, zone: str) -> np.ndarray:
     if (summer.isna() & ~index.isna()).any():
         missing = index[summer.isna() & ~index.isna()][0]
         raise ValueError(f"the clock of {zone} has no {missing}, where it goes forward")
-    first, second = (x.tz_convert(None).to_numpy("datetime64[ns]") for x in (summer, winter))
-    found: np.ndarray = first.copy()
-    for k in np.flatnonzero(first != second):
-        if k and first[k] <= found[k - 1]:
-            found[k] = second[k]
+    early, late = (x.tz_convert(None).to_numpy("datetime64[ns]") for x in (summer, winter))
+    found: np.ndarray = early.copy()
+    for k in np.flatnonzero(early != late):
+        is_late = k > 0 and early[k] <= found[k - 1]
+        if k == 1 and second is not None:  # that which is nearer to it
+            is_late = 2e9 * second > int(early[1] - early[0]) + int(late[1] - early[0])
+        if is_late:
+            found[k] = late[k]
     return found
 
 

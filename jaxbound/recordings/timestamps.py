@@ -4,7 +4,7 @@ reader.
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -37,6 +37,8 @@ DATES = (
     "%m/%d/%y",
     "%d/%m/%y",
     "%d.%m.%y",
+    "%y/%m/%d",
+    "%y.%m.%d",
     "%Y%m%d",
 )
 CLOCKS = ("%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p", "%H%M%S")
@@ -44,8 +46,18 @@ FORMATS = [f"{date}{gap}{clock}" for date in DATES for gap in (" ", "T") for clo
 OF_A_DAY = "%[dDjuwcxs]|%-d"  # a format with one of these has a date
 MINUTES = "%M:%S"  # as Excel writes a time that it shows as 08:30.0
 FORMATS += [*DATES[:-1], *CLOCKS[:4], MINUTES]
-ORDERS = ("%m/%d/%Y", "%d/%m/%Y", "%m-%d-%Y", "%d-%m-%Y", "%m/%d/%y", "%d/%m/%y")
-"""Dates in which day and month could change places."""
+ORDERS = (
+    "%m/%d/%Y",
+    "%d/%m/%Y",
+    "%m-%d-%Y",
+    "%d-%m-%Y",
+    "%m/%d/%y",
+    "%d/%m/%y",
+    "%y/%m/%d",
+    "%d.%m.%y",
+    "%y.%m.%d",
+)
+"""Dates in which day, month and year could change places."""
 BY_SIGNS: dict[str, list[str]] = {}
 """{the signs of a text, which are no letters or digits: the formats of such texts}."""
 for _form in FORMATS:
@@ -55,6 +67,7 @@ LONGEST = 64  # letters of a time stamp
 DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
 COMPACT = {14: "%Y%m%d%H%M%S", 12: "%Y%m%d%H%M"}  # by their digits
 YEARS = 1678, 2261  # that a count of ns since 1970 holds
+NO_CLOCK = "have a date without a clock"
 FAR = f"only the years {YEARS[0]} to {YEARS[1]} can be told"
 CENTURIES = 1970, 2200  # years that a number of so many digits may begin with
 EPOCHS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
@@ -64,7 +77,11 @@ EPOCH, SECOND = np.datetime64(0, "s"), np.timedelta64(1, "s")
 
 
 def parse_stamps(
-    cells: "pa.Array", dt: float | None, where: Callable[[int], str], how: RecordingFormat = UNSTATED
+    cells: "pa.Array",
+    dt: float | None,
+    where: Callable[[int], str],
+    how: RecordingFormat = UNSTATED,
+    second: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray | None, str]:
     """Return (time, stamps, hint) of text cells.
 
@@ -72,6 +89,7 @@ def parse_stamps(
         cells: pyarrow array of strings without nulls. dt: of the model; decides between day/month and
             month/day; None: the median step.
         where: called with an index, returns "row 7" of the file. how: states their format, or their zone.
+        second: of a stream, the time of the second cell, which is its last one before; see `localized`.
 
     Returns:
         time: seconds since the first sample; stamps: datetime64[ns], in UTC where a zone is known, None for a
@@ -86,12 +104,12 @@ def parse_stamps(
             return _since_first(iso), None, f"{FAR}: times count from the first row"
         if iso is not None:
             if how.zone and not _has_zone(cells):
-                iso = _in_zone(iso, how.zone, where)
+                iso = _in_zone(iso, how.zone, second)
             return _since_first(iso), iso, ""
         spans = elapsed(cells)
         if spans is not None:
             return _since_first(spans), None, f"times like {cells[0].as_py()!r} are read as elapsed"
-    read = _readings(cells, where, how)
+    read = _readings(cells, where, how, second)
     seams = [uneven_steps(_since_first(stamps), dt) for _, stamps in read]
     # 3/4/2017 is a day in March or in April: time runs evenly in one of the two orders only
     smoothest = [one for one, count in zip(read, seams, strict=True) if count == min(seams)]
@@ -110,15 +128,35 @@ def parse_stamps(
         if smoothest[-1][0] == MINUTES and not how.time_format:
             hint = f"{hint}; they are read as hours and minutes: write 0:08:30 for minutes and seconds"
         return _since_first(stamps) + _rounds(stamps, 86400.0), None, hint
-    hint = ""
-    if len(smoothest) > 1 and (stamps != smoothest[1][1]).any():
-        other = order_in_words(smoothest[1][0])
-        hint = f"{like} are read as {order_in_words(form)}; they could also be {other}"
-    return _since_first(stamps), stamps, hint
+    return _in_order(smoothest, dt, like)
+
+
+def _in_order(
+    read: Sequence[tuple[str, np.ndarray]], dt: float | None, like: str
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Return (time, stamps, hint) by the format, of some that differ in the order of day, month and year,
+    that makes the most equal steps.
+
+    Raises:
+        ValueError: several do, and their steps differ.
+    """
+    # days are equally long, months and years are not
+    spreads = [_spread(_since_first(stamps), dt) for _, stamps in read]
+    evenest = [one for one, spread in zip(read, spreads, strict=True) if spread <= 2 * min(spreads) + 1e-6]
+    form, stamps = evenest[0]
+    time, others = _since_first(stamps), [other for other, x in read if (x != stamps).any()]
+    if not others:
+        return time, stamps, ""
+    order, rest = order_in_words(form), " or ".join(map(order_in_words, others))
+    which = f"say which by time_format, like {_date_of(others[0])!r}{STATING}"
+    steps = {round(_usual(_since_first(x)), 6) for _, x in evenest}
+    if dt is None and len(time) > 1 and len(steps) > 1:
+        raise ValueError(f"{like} may be {order} or {rest}: {which}")
+    return time, stamps, f"{like} are read as {order}; they could also be {rest}: {which}"
 
 
 def _readings(
-    cells: "pa.Array", where: Callable[[int], str], how: RecordingFormat
+    cells: "pa.Array", where: Callable[[int], str], how: RecordingFormat, second: float | None
 ) -> list[tuple[str, np.ndarray]]:
     """Return (format, stamps) of each format that all cells have; refuse cells without any."""
     zones, date = None, how.time_format
@@ -136,11 +174,11 @@ def _readings(
                 raise refused from None
     try:
         if zones is not None:
-            read = [(form, zoned(stamps, zones)) for form, stamps in read]
+            read = [(form, zoned(stamps, zones, second)) for form, stamps in read]
     except ValueError as e:
         raise ValueError(f"of time stamps like {cells[0].as_py()!r} {e}") from None
     if how.zone and (zones is None or zones[0].as_py() == "") and not re.search("%[zZs]", read[0][0]):
-        read = [(form, _in_zone(stamps, how.zone, where)) for form, stamps in read]
+        read = [(form, _in_zone(stamps, how.zone, second)) for form, stamps in read]
     return read
 
 
@@ -159,10 +197,10 @@ def _as_stated(cells: "pa.Array", form: str, where: Callable[[int], str]) -> np.
     return in_ns(stamps.to_numpy(), where)
 
 
-def _in_zone(stamps: np.ndarray, zone: str, where: Callable[[int], str]) -> np.ndarray:
+def _in_zone(stamps: np.ndarray, zone: str, second: float | None) -> np.ndarray:
     """Return times of the clock of a zone in UTC."""
     try:
-        return localized(stamps, zone)
+        return localized(stamps, zone, second)
     except ValueError as e:
         raise ValueError(f"the time column: {e}") from None
 
@@ -186,7 +224,8 @@ def _in_formats(
     for form in BY_SIGNS.get(_signs(first), ()):
         # a fraction is one of a second: none of 08:30.5 is an hour
         if form.startswith(date) and _has_format(first, form) and (not tidy.fine or "%S" in form):
-            read.append((form, _stamps_in(tidy.texts, tidy.more, form, where)))
+            stamps = _stamps_in(tidy.texts, tidy.more, form, where)
+            read.append((form, _with_midnights(stamps, cells, tidy.texts, form, where)))
     if not read:
         raise ValueError(
             f"{where(0)} of the time column is {cells[0].as_py()!r}: neither seconds nor a known time stamp "
@@ -202,24 +241,70 @@ def _in_formats(
     return complete
 
 
+def _with_midnights(
+    stamps: np.ndarray, cells: "pa.Array", tidy: "pa.Array", form: str, where: Callable[[int], str]
+) -> np.ndarray:
+    """Return stamps (N,) with the beginning of the day where a cell, or what is read of it, is a date."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    unread = np.flatnonzero(np.isnat(stamps))
+    if len(unread):
+        texts = pc.utf8_trim_whitespace(cells.take(pa.array(unread)))
+        read = tidy.take(pa.array(unread))
+        texts = pc.if_else(pc.equal(read, ""), texts, read)
+        days = pc.if_else(pc.match_substring(texts, ":"), "", texts)  # others are not read twice
+        stamps[unread] = _stamps_in(days, None, _date_of(form), where)
+    return stamps
+
+
+def without_clock(cells: "pa.Array", time: np.ndarray, usual: float) -> np.ndarray:
+    """Return (N,) bool: which rows have a date alone where most have a clock, and do not follow the row
+    before: spreadsheets write midnight so, but what stands below the samples may have a date, too.
+
+    Args:
+        cells: (N,) texts. time: (N,) s. usual: step in s.
+    """
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    alone = np.zeros(len(cells), bool)
+    lengths = np.asarray(pc.binary_length(cells))
+    longest = int(np.argmax(lengths))
+    short = np.flatnonzero(lengths <= lengths[longest] - len(" 0:00"))
+    if not len(short) or ":" not in cells[longest].as_py():
+        return alone
+    has_none = np.asarray(pc.invert(pc.match_substring(cells.take(pa.array(short)), ":")))
+    dates = short[has_none & (short > 0)]
+    if 2 * len(dates) > len(cells):
+        return alone
+    alone[dates] = True
+    before = 0
+    for k in dates.tolist():
+        if not alone[k - 1]:
+            before = k - 1
+        alone[k] = not 0 < time[k] - time[before] <= (1 + TOLERATED_STEP) * usual
+    return alone
+
+
 def order_of(cells: "pa.Array", stamps: np.ndarray) -> str:
-    """Return the format of the dates of texts in which day and month could change places, "" of others.
+    """Return the format of the dates of texts in which day, month and year could change places, "" of others.
 
     Args:
         cells: (N,) texts. stamps: (N,) as they were read.
     """
     ends = cells.take([0, len(cells) - 1])
-    if not re.match(r"\D*\d\d?[-/]\d", ends[0].as_py()):
+    if not re.match(r"\D*\d\d?[-/.]\d", ends[0].as_py()):
         return ""
-    dates = set()
+    dates: set[str] = set()
     for tidy in (_split_fraction(ends), tidied(ends)):
         first, last = tidy.texts.to_pylist()
         for form in BY_SIGNS.get(_signs(first or ""), ()):
-            date = form.split("T%")[0].split(" %H")[0].split(" %I")[0]
-            is_read_so = _is_read_as(first, form, stamps[0]) and _is_read_as(last, form, stamps[-1])
-            if date in ORDERS and is_read_so:
-                dates.add(date)
-    if len(dates) != 1:
+            if _is_read_as(first, form, stamps[0]) and _is_read_as(last, form, stamps[-1]):
+                dates.add(_date_of(form))
+        if dates:
+            break
+    if len(dates) != 1 or not dates & {*ORDERS}:
         return ""
     return dates.pop()
 
@@ -261,7 +346,9 @@ def instant_of(time: object) -> float:
     if stamps is None:
         raise ValueError(f"{text!r} has no date: write it as well, like 2017-09-12 08:00:00")
     if hint:
-        raise ValueError(f"{hint}: write the year first, like 2017-09-12 08:00:00")
+        raise ValueError(
+            f"{text!r} may be read in several ways: write the year first, like 2017-09-12 08:00:00"
+        )
     return round(float((stamps[0] - EPOCH) / SECOND), 6)
 
 
@@ -474,8 +561,27 @@ def uneven_steps(time: np.ndarray, dt: float | None) -> int:
     steps = np.diff(time)
     if not len(steps):
         return 0
-    usual = float(np.median(steps)) if dt is None else dt
+    usual = _usual(time) if dt is None else dt
     return int((np.abs(steps - usual) > TOLERATED_STEP * abs(usual)).sum())
+
+
+def _usual(time: np.ndarray) -> float:
+    """Return the usual step of times in s, NaN where there is none."""
+    if len(time) < 2:
+        return math.nan
+    return float(np.median(np.diff(time)))
+
+
+def _spread(time: np.ndarray, dt: float | None) -> float:
+    """Return by what share steps of times in s differ on the average from dt, by default the usual one; gaps
+    do not count.
+    """
+    usual = _usual(time) if dt is None else dt
+    shares = np.abs(np.diff(time) / (usual or math.nan) - 1)
+    shares = shares[shares <= TOLERATED_STEP]
+    if not len(shares):
+        return 0.0
+    return float(shares.mean())
 
 
 def _since_first(stamps: np.ndarray) -> np.ndarray:
@@ -491,8 +597,14 @@ def _rounds(stamps: np.ndarray, length: float) -> np.ndarray:
     return length * np.concatenate([[0], np.cumsum(back)])
 
 
+def _date_of(form: str) -> str:
+    """Return the date of a format."""
+    return re.split("[ T]%[HIM]", form)[0]
+
+
 def order_in_words(form: str) -> str:
     """Return the order of day, month and year in a format."""
+    date = _date_of(form)
     for code, word in {"%Y": "year", "%y": "year", "%m": "month", "%d": "day", "%b": "month"}.items():
-        form = form.replace(code, word)
-    return form.split(" %")[0].split("T%")[0]
+        date = date.replace(code, word)
+    return date

@@ -33,6 +33,14 @@ CLI = Path(main.__file__).parent
             "evaluate m.toml good.csv --healthy d.csv",
             "jaxbound evaluate has no use for good.csv; see jaxbound evaluate --help",
         ),
+        (
+            "fleet units.csv --out f --recording every=15min",
+            "--recording is said by [recording] of each unit's model file; see jaxbound fleet --help",
+        ),
+        (
+            "fit a.csv --out m.toml b.csv -z",
+            "jaxbound fit has no use for b.csv -z; see jaxbound fit --help",
+        ),
     ],
 )
 def test_an_unknown_word_is_answered_by_the_nearest_in_one_sentence(line, sentence, capsys):
@@ -47,6 +55,26 @@ def test_what_looks_like_an_option_may_be_a_value_or_a_short_form():
     assert args.scenario == {"input_range": "-1:1"}
     assert main._parse(["tune", "m.toml", "h.csv", "--out", "o", "--te", "horizon=3"]).test == {"horizon": 3}
     assert str(main._parse(["info", "--", "--m.toml"]).model) == "--m.toml"
+
+
+@pytest.mark.parametrize(
+    "line, name, words",
+    [
+        ("fit a.csv --add m.toml", "data", ["a.csv", "m.toml"]),
+        ("fit --add a.csv m.toml", "data", ["a.csv", "m.toml"]),
+        ("fit a.csv --outputs y b.csv --out m.toml c.csv", "data", ["a.csv", "b.csv", "c.csv"]),
+        ("tune m.toml --out o a.csv --json b.csv", "healthy", ["a.csv", "b.csv"]),
+        ("tune m.toml a.csv --out o b.csv", "healthy", ["a.csv", "b.csv"]),
+        ("detect m.toml --out o a.csv", "data", "a.csv"),
+        ("detect --out o m.toml a.csv", "data", "a.csv"),
+        ("parameters m.toml --json a.csv", "data", "a.csv"),
+        ("info --json m.toml", "model", "m.toml"),
+        ("example --out d heater", "name", "heater"),
+    ],
+)
+def test_options_may_stand_between_files(line, name, words):
+    found = getattr(main._parse(line.split()), name)
+    assert (list(map(str, found)) if isinstance(found, list) else str(found)) == words
 
 
 def completed(line, folder):

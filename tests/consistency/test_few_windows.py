@@ -7,7 +7,6 @@ import jaxbound as jb
 from benchmarks.first_call import compilations
 from benchmarks.same_bits import FAMILIES, recording
 from jaxbound.consistency.drive import windows
-from jaxbound.recordings.recording import NOWHERE
 from jaxbound.sets.floats.kernel import FEW, PRIMITIVES, outside_xla, spared, sparing
 
 pytestmark = [pytest.mark.compiled, pytest.mark.usefixtures("as_users_do")]
@@ -112,7 +111,7 @@ def test_windows_that_take_longer_count_for_more(monkeypatch):
     for asked in ({}, {"disturbance": (np.eye(3), 0.1)}):
         model = jb.LinearSystem(np.diag([0.9, 0.8, 0.7]), None, np.ones((3, 3)), noise=1, **asked)
         test = jb.parity_relations(model, 15).test("joint", np.float64)
-        windows(test, np.zeros((40, 0)), np.zeros((40, 3)), NOWHERE)
+        windows(test, jb.Recording(np.zeros((40, 0)), np.zeros((40, 3))))
     assert 25 <= done[0] <= 50 and 5 * done[0] < done[1] < FEW
 
 

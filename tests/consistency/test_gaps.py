@@ -52,7 +52,8 @@ def test_a_gap_at_any_sample_of_a_block(rng, how):
     y[13] += 3
     relations = jb.parity_relations(paper(), **how)
     test, different = relations.test("joint", y.dtype), []
-    judged = lambda u, y, starts=(): windows(test, u, y, all_starts(starts, len(y)), size=4).status
+    given = lambda u, y, starts=(): jb.Recording(u, y, all_starts(starts, len(y)))
+    judged = lambda *about: windows(test, given(*about), size=4).status
     for gap in range(24):
         parts = [judged(u[part], y[part]) for part in (slice(0, gap), slice(gap, 24))]
         if (judged(u, y, [gap]) != np.concatenate(parts)).any():

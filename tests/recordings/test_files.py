@@ -182,7 +182,9 @@ class TestTime:
         r = read(text_of(rows, "Datetime,pump,level,flow"), TWO)
         assert r.stamps[61] == np.datetime64("2017-09-12T01:01")
         assert r.hints == (
-            "time stamps like '9/12/2017 0:00' are read as month/day/year; they could also be day/month/year",
+            "time stamps like '9/12/2017 0:00' are read as month/day/year; they could also be "
+            "day/month/year: say which by time_format, like '%d/%m/%Y' "
+            "(--recording, or [recording] of the model file)",
         )
 
     def test_jitter_of_milliseconds(self, read):

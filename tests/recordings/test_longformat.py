@@ -68,7 +68,7 @@ def test_tags_with_times_of_their_own_are_held_for_as_long_as_is_stated(tmp_path
     expected_y = [10, 10, 11, 11, 12, 12, 12, 12, 12, 12, nan, nan, nan, nan, nan, 13]
     np.testing.assert_array_equal(run.u[:, 0], expected_u)
     np.testing.assert_array_equal(run.y[:, 0], expected_y)
-    assert any("deadband belongs to the `resolution`" in hint for hint in run.hints)
+    assert any("state its `deadband` beside hold" in hint for hint in run.hints)
 
 
 def test_two_values_of_one_time_need_a_word(tmp_path, rng):

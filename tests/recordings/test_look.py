@@ -1,5 +1,8 @@
 """A look at a recording before there is a model: what it says of whatever is wrong with one."""
 
+import os
+import shlex
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,6 +10,7 @@ import pytest
 import jaxbound as jb
 from jaxbound.cli import main
 from jaxbound.plots.every import plot
+from jaxbound.recordings import look as looking
 from jaxbound.recordings.signals import Signals
 
 T = 120
@@ -61,6 +65,14 @@ def test_the_command_is_one_to_go_on_with(path, capsys, tmp_path):
     entries = "'wind=angle(wind),pulses=rate(pulses, 65536),total=rate(total),T,T2'"
     assert found.command == f"jaxbound fit {path} --inputs 'Heater [%]' --outputs {entries} --out plant.toml"
     assert dict(found.rows())["go on"] == found.command
+
+
+def test_names_of_what_a_plant_is_told_and_of_what_surrounds_it_are_those_of_inputs(rng):
+    names = ["Cooling Set Point", "FCV SP", "valve_cmd", "Outdoor Air", "Supply Air", "spin", "Temperatur"]
+    found = jb.look({name: rng.uniform(0, 1, 60) for name in names}, dt=1)
+    inputs, _, outputs = found.command.partition(" --inputs ")[2].partition(" --outputs ")
+    assert inputs == f"'{','.join(names[:4])}'"
+    assert outputs.startswith(f"'{','.join(names[4:])}' ")
 
 
 @pytest.mark.parametrize("kind", ["parquet", "folder", "table"])
@@ -167,6 +179,46 @@ def test_the_command_prints_and_draws(path, tmp_path, capsys):
     assert main.main(["look", str(path), "--out", str(tmp_path / "run.html")]) == 2  # not without --force
     assert main.main(["look", str(path), "--json"]) == 0
     assert '"mark": "counter?"' in capsys.readouterr().out
+
+
+@pytest.fixture
+def standard_input(tmp_path):
+    """Return a function that lets a process read these bytes from its standard input."""
+    before = os.dup(0)
+
+    def send(data):
+        (tmp_path / "sent").write_bytes(data)
+        file = os.open(tmp_path / "sent", os.O_RDONLY)
+        os.dup2(file, 0)
+        os.close(file)
+
+    yield send
+    os.dup2(before, 0)
+    os.close(before)
+
+
+def test_a_stream_looks_like_a_file(path, standard_input, capsys, monkeypatch):
+    assert main.main(["look", str(path)]) == 0
+    shown = capsys.readouterr().out
+    standard_input(path.read_bytes())
+    assert main.main(["look", "-"]) == 0
+    command = shown.replace(shlex.quote(str(path)), "FILE").replace("run.csv:", "standard input:")
+    assert capsys.readouterr().out.split() == command.split()
+    standard_input(b"")
+    assert main.main(["look", "-"]) == 2
+    assert capsys.readouterr().err == "jaxbound: the file is empty\n"
+    monkeypatch.setattr(looking, "ENOUGH", 1 << 12)
+    standard_input(path.read_bytes())
+    found = jb.look("-")
+    assert found.samples < T and found.hints[0].endswith("came and it had not ended: only these are shown")
+
+
+def test_a_column_without_numbers_and_one_column_are_said_in_words(tmp_path):
+    table = pd.DataFrame({"time": np.arange(5.0), "a": np.arange(5.0), "b": np.full(5, np.nan)})
+    found = jb.look(table)
+    assert [list(row[:2]) for row in found.cells()] == [["column", "range"], ["a", "0 .. 4"], ["b", ""]]
+    assert found.columns[1].cells(9)[3] == "5 missing"
+    assert jb.look(table[["time", "a"]]).extent == "5 samples of 1 column of numbers"
 
 
 def test_a_picture_has_a_chart_of_each_column(path):

@@ -227,7 +227,7 @@ def test_fit_keeps_the_interval_and_detect_judges_by_it(tmp_path, monkeypatch, c
     model = jb.load_model("plant.toml")
     assert model.dt == 20 and model.columns["every"] == "20s"
     tables = [pd.read_csv(name, parse_dates=["time"]) for name in ("a.csv", "b.csv")]
-    same = jb.fit(tables, inputs="u", outputs="y", every="20s", horizon=8, name="plant")
+    same = jb.fit(tables, inputs="u", outputs="y", recording={"every": "20s"}, horizon=8, name="plant")
     assert same.replace(provenance=None) == model.replace(provenance=None)
     capsys.readouterr()
     assert main.main(["detect", "plant.toml", "c.csv", "--out", "whole", "--json"]) == 1
@@ -295,7 +295,7 @@ def test_without_times_there_are_no_means(tmp_path, kind):
     with pytest.raises(ValueError, match="column of times|time column"):
         jb.read(path, PLAIN)
     with pytest.raises(ValueError, match="every = '15min' needs the times of the samples"):
-        jb.fit((np.ones((99, 1)), np.ones((99, 1))), every="15min")
+        jb.fit((np.ones((99, 1)), np.ones((99, 1))), recording={"every": "15min"})
 
 
 def streamed(text, cuts, kill=False, model=MODEL):

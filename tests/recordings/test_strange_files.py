@@ -24,8 +24,11 @@ import jaxbound as jb
 from jaxbound.certificates.checker.files import read_model
 from jaxbound.models.modelfile import model_text
 from jaxbound.recordings.pipetext import PipeText
+from jaxbound.recordings.read import read_signals
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import format_of, with_format
+from jaxbound.recordings.stream import Taken
+from jaxbound.recordings.timestamps import instant_of
 from jaxbound.runs.ask import Ask
 from jaxbound.runs.fleet import FleetTest, detect_fleet, read_manifest
 
@@ -226,6 +229,41 @@ def test_a_format_that_is_stated_is_read_by_all_doors_and_kept_by_the_model_file
         jb.read(path, THREE, recording={"decimals": ","})
 
 
+def test_words_for_on_and_off_are_no_numbers():
+    sentence = "on of .recording. must be words: 2 is a number, read as it is; an expression like `pump - 1`"
+    for how in ({"on": "2", "off": "1"}, {"on": ["open", 2.0], "off": ["shut"]}):
+        with pytest.raises(ValueError, match=sentence.replace(" 2 ", " 2(.0)? ")):
+            with_format({}, how)
+    with pytest.raises(ValueError, match="off of .recording. must be words: 1 is a number"):
+        with_format({}, {"on": "1", "off": "shut,1"})
+    usual = format_of(THREE.replace(columns=with_format({}, {"on": "open,1", "off": "shut,0"})))
+    assert usual.on == ("open", "1")
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-16-le", "utf-32"])
+def test_streams_in_two_bytes_a_letter_are_read_as_files_are(tmp_path, encoding):
+    text = small(["20,5", "21,5", "22,5", "23,5"], ";").replace("heater", "Küche")
+    mark = "" if encoding in ("utf-16", "utf-32") else "\ufeff"
+    data = (mark + text).encode(encoding)
+    model = THREE.replace(inputs=["Küche"])
+    if "32" in encoding:
+        model = model.replace(columns=with_format({}, {"encoding": encoding}))
+    (tmp_path / "run.csv").write_bytes(data)
+    run = jb.read(tmp_path / "run.csv", model)
+    for cuts in ([], range(1, len(data)), [77]):
+        live, said = from_pipe(data, model, cuts)
+        assert live.y.tolist() == run.y.tolist() and said == [f"standard input: {run.hints[0]}"]
+    for at in range(30, len(data), 7):  # a process that goes on, within a letter too, or begins again
+        pipe = PipeText(model, print, taken=Taken(bytes))
+        begun = pipe.take(data[:at])
+        count = 0 if begun is None else begun.samples
+        for rest in (data[at:], data) if count else ():
+            kept = Taken(lambda pipe=pipe: bytes(pipe.taken.fresh))
+            again = PipeText(model, lambda kind, sentence: None, pipe.memory(), kept)
+            pieces = [again.take(rest[k : k + 5]) for k in range(0, len(rest), 5)]
+            assert sum(piece.samples for piece in pieces if piece is not None) == 4 - count
+
+
 def test_rows_of_one_time_and_blank_cells_are_read_as_stated(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("time,heater,temp\n0,1,1\n0,1,2\n60,,3\n120,,4\n180,,5\n")
@@ -250,6 +288,25 @@ def test_clocks_of_a_zone_have_the_hours_of_that_zone(tmp_path):
         zoned = hourly.replace(columns=with_format({}, {"zone": "Europe/Berlin"}))
         live, _ = from_pipe(path.read_bytes(), zoned, [30, 60, 90, 120])
         assert np.diff(live.time).tolist() == [3600] * 5
+
+
+@pytest.mark.parametrize("zone", ["Europe/Berlin", "Australia/Lord_Howe"])
+def test_a_stream_knows_the_hour_that_comes_twice(zone):
+    begin = {"Europe/Berlin": "2026-10-24 23:20Z", "Australia/Lord_Howe": "2026-04-04 13:50Z"}[zone]
+    stamps = pd.date_range(begin, periods=14, freq="10min").tz_convert(zone).tz_localize(None)
+    assert not stamps.is_unique
+    by_field = THREE.replace(dt=600, columns=with_format({}, {"zone": zone}))
+    for model, name in ((by_field, ""), (THREE.replace(dt=600), f" {zone}")):
+        text = "".join(f"{t:%Y-%m-%d %H:%M}{name},1,{k}\n" for k, t in enumerate(stamps))
+        lines = f"time,heater,temp\n{text}".splitlines(keepends=True)
+        pipe = PipeText(model, print)
+        times = []
+        for line in lines:
+            piece = pipe.take(line.encode())
+            pipe = PipeText(model, print, pipe.memory()) if piece else pipe  # another process goes on
+            times += [] if piece is None else piece.time.tolist()
+        assert times == [600.0 * k for k in range(14)]
+        assert from_pipe("".join(lines).encode(), model, [200, 300])[0].time.tolist() == times
 
 
 def test_named_zones_follow_each_other_when_the_clock_goes_forward(tmp_path):
@@ -282,6 +339,98 @@ def test_fit_keeps_the_order_of_day_and_month_for_a_day_that_does_not_show_it(tm
     (tmp_path / "day.csv").write_text(path.read_text()[:17] + "02/03/2026 10:00,1,1\n02/03/2026 19:00,1,1\n")
     assert str(jb.read(tmp_path / "day.csv", ordered).stamps[0]).startswith("2026-03-02")
     assert str(jb.read(tmp_path / "day.csv", plain).stamps[0]).startswith("2026-02-03")
+
+
+DAY = datetime.timedelta(days=1)
+ORDERS = {  # (format, begin, step, dt that is stated, the order that is taken, whether a sentence asks)
+    "year first, one day": ("%y/%m/%d %H:%M", "2024-03-04", DAY / 1440, 60, "2004-03-24", True),
+    "year first, past midnight": ("%y/%m/%d %H:%M", "2024-03-04", DAY / 12, 7200, "2024-03-04", False),
+    "year first, points": ("%y.%m.%d %H:%M", "2024-03-04", DAY / 12, None, "2024-03-04", False),
+    "year first, days": ("%y/%m/%d %H:%M", "2024-03-04", DAY, None, "2024-03-04", True),
+    "days": ("%d/%m/%y %H:%M", "2024-03-02", DAY, None, "2024-03-02", True),
+    "days, month first": ("%m/%d/%y %H:%M", "2024-03-02", DAY, None, "2024-03-02", True),
+    "three orders": ("%y/%m/%d %H:%M", "2010-11-12", DAY / 1440, 60, "2012-10-11", True),
+    "month first, a gap": ("%m/%d/%y %H:%M", "2024-03-02", DAY / 1440, None, "2024-03-02", True),
+    "month first in one day": ("%d/%m/%Y %H:%M", "2024-03-04", DAY / 1440, 60, "2024-04-03", True),
+}
+
+
+@pytest.mark.parametrize("case", ORDERS)
+def test_the_order_of_a_date_is_what_makes_equal_steps_or_a_sentence_asks(tmp_path, case):
+    form, begin, step, dt, first, asks = ORDERS[case]
+    stamps = [datetime.datetime.fromisoformat(f"{begin} 08:00") + k * step for k in range(9)]
+    if "gap" in case:
+        del stamps[5:7]
+    path = tmp_path / "run.csv"
+    path.write_text("time,heater,temp\n" + "".join(f"{t:{form}},1,{k}\n" for k, t in enumerate(stamps)))
+    (run,) = read_signals(path, ["heater"], ["temp"], dt=dt)
+    assert str(run.stamps[0])[:10] == first and run.dt == step.total_seconds()
+    said = [hint for hint in run.hints if "could also be" in hint and "say which by time_format" in hint]
+    assert len(said) == asks
+    taken = run.taken.time_format
+    assert taken and taken in form or asks
+    if case == "three orders":
+        assert "read as month/day/year; they could also be day/month/year or year/month/day: " in said[0]
+        assert "time_format, like '%d/%m/%y'" in said[0]
+    live, _ = from_pipe(path.read_bytes(), THREE.replace(dt=step.total_seconds()), [40, 90])
+    assert np.diff(live.time).tolist() == np.diff(run.time).tolist()
+    for order in ("%d/%m/%y", "%y/%m/%d"):
+        if "days" not in case and form.startswith(order):
+            (run,) = read_signals(
+                path, ["heater"], ["temp"], {"[recording]": f'{{"time_format": "{order}"}}'}
+            )
+            assert str(run.stamps[0])[:10] == begin
+
+
+def test_an_order_of_dates_that_nothing_shows_is_asked_for_where_it_sets_the_step(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("time,heater,temp\n01/02/24 08:00,1,1\n02/02/24 08:00,1,2\n")
+    with pytest.raises(ValueError, match="may be .*: say which by time_format, like '%d/%m/%y' .--recording"):
+        read_signals(path, ["heater"], ["temp"])
+    assert jb.read(path, THREE.replace(dt=86400)).dt == 86400
+    with pytest.raises(ValueError, match="write the year first"):
+        instant_of("24/03/04 08:00")
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M", "%m/%d/%Y %H:%M", "%d.%m.%Y %I:%M %p", "%d-%b-%y %H:%M"],
+)
+def test_a_date_without_a_clock_is_midnight_where_it_follows_the_row_before(tmp_path, form):
+    """Spreadsheets write midnight so, and footers the day on which they were written."""
+    path, date = tmp_path / "run.csv", form.split()[0]
+    stamps = [datetime.datetime(2026, 3, 13, 23, 57) + datetime.timedelta(minutes=k) for k in range(9)]
+    cells = [f"{t:{date}}" if (t.hour, t.minute) == (0, 0) else f"{t:{form}}" for t in stamps]
+    lines = ["time;heater;temp", *(f"{cell};1;{k}" for k, cell in enumerate(cells))]
+    path.write_text("\n".join([*lines, ""]))
+    run = jb.read(path, THREE)
+    assert run.time.tolist() == [60.0 * k for k in range(9)] and not [h for h in run.hints if "clock" in h]
+    footers = [
+        *lines[:3],
+        f"{stamps[-1]:{date}};7;7",
+        *lines[3:],
+        *(f"{stamps[0]:{date}};8;{k}" for k in "89"),
+    ]
+    path.write_text("\n".join([*footers, ""]))
+    again = jb.read(path, THREE)
+    assert again.y[:, 0].tolist() == list(range(9)) and again.time.tolist() == run.time.tolist()
+    left = "3 rows have a date without a clock, the first is row 4: left out"
+    assert [hint for hint in again.hints if "clock" in hint] == [left]
+    for cuts in ([], range(30, len(path.read_bytes()), 25)):
+        live, said = from_pipe(path.read_bytes(), THREE, cuts)
+        assert live.time.tolist() == run.time.tolist() and live.y.tolist() == run.y.tolist()
+        assert said == [f"line {n} has a date without a clock: left out" for n in (4, 12, 13)]
+    said, pipe = [], PipeText(THREE, print, taken=Taken(bytes))
+    pipe.take(path.read_bytes())
+    kept = Taken(lambda: bytes(pipe.taken.fresh))
+    sender = PipeText(THREE, lambda kind, sentence: said.append(sentence), pipe.memory(), kept)
+    more = f"{stamps[-1] + datetime.timedelta(minutes=1):{form}};1;9\n"  # it begins again
+    pieces = [sender.take(line.encode()) for line in [*path.read_text().splitlines(keepends=True), more]]
+    assert [piece.y.tolist() for piece in pieces if piece is not None] == [[[9]]]
+    assert said[-1] == "9 lines were judged before and are skipped"
+    days = [f"{t:{date}};1;{k}" for k, t in enumerate([stamps[0] + k * DAY for k in range(9)])]
+    path.write_text("\n".join([lines[0], *days, ""]))
+    assert jb.read(path, THREE.replace(dt=86400)).samples == 9  # no row has a clock
 
 
 def test_a_stream_below_many_lines_goes_on_without_losing_any(tmp_path):
@@ -351,14 +500,14 @@ def test_a_stream_keeps_the_order_of_day_and_month_that_midnight_showed(form, be
         assert str(third.stamps[-1]).startswith("2026-03-06") and not len(third.starts)
 
 
-def test_a_stream_says_when_the_order_of_day_and_month_shows(capsys):
+def test_a_stream_says_when_the_order_of_day_and_month_shows():
     said = []
     pipe = PipeText(PLANT.replace(dt=3600), lambda kind, sentence: said.append(sentence))
     lines = on_days("%d/%m/%Y %H:%M", datetime.datetime(2026, 3, 4, 22), 1)
     pipe.take(("time,heater,temp\n" + lines[0]).encode())
     pipe.take("".join(lines[1:9]).encode())
     pipe.take("".join(lines[9:]).encode())
-    assert said[0].endswith("are read as month/day/year; they could also be day/month/year")
+    assert "are read as month/day/year; they could also be day/month/year" in said[0]
     assert said[1:] == ["time stamps like '04/03/2026 23:00' show their order: they are day/month/year"]
 
 

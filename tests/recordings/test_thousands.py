@@ -7,6 +7,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.recordings.pipetext import PipeText
+from jaxbound.recordings.recordingformat import with_format
 
 MODEL = jb.LinearSystem([[0.5]], [[1]], [[1]], dt=1, noise=0.1)
 
@@ -23,10 +24,10 @@ def text_of(cells, delimiter=";", others="0"):
     )
 
 
-def from_pipe(text, size=10**6):
+def from_pipe(text, size=10**6, model=MODEL):
     """Return (y, sentences) of a stream that comes in pieces."""
     said = []
-    pipe = PipeText(MODEL, lambda kind, sentence: said.append(sentence))
+    pipe = PipeText(model, lambda kind, sentence: said.append(sentence))
     pieces = [pipe.take(text.encode()[at : at + size]) for at in range(0, len(text.encode()), size)]
     return np.concatenate([piece.y[:, 0] for piece in pieces if piece is not None]), said
 
@@ -139,3 +140,62 @@ def test_a_file_with_blank_lines_whose_cells_are_looked_at_again_is_read(tmp_pat
     text = text_of(["35.120", "36.200", "35.125"])
     (tmp_path / "run.csv").write_text(text.replace("\n1;", "\n\n1;"))
     assert jb.read(tmp_path / "run.csv", MODEL).y[:, 0].tolist() == [35.12, 36.2, 35.125]
+
+
+LATE = {  # (cells, delimiter, what is stated, numbers)
+    "behind commas": (["998,5"] * 20 + ["1.002,5", "1.002"] + ["997,5"] * 20, ";", {}, None),
+    "behind points": (["998.5"] * 20 + ["1,002", "12,001.25"] + ["997.5"] * 20, "\t", {}, None),
+    "quoted": (["998.5"] * 20 + ['"1,002"'] + ["997.5"] * 3, ",", {}, None),
+    "by apostrophes": (["998.5"] * 20 + ["1'002"] + ["997.5"] * 20, ",", {}, None),
+    "by blanks": (["998,5"] * 20 + ["1 002"] + ["997,5"] * 20, ";", {}, None),
+    "stated": (["998"] * 20 + ["1.002"] + ["997"] * 20, ";", {"thousands": "."}, None),
+    "stated commas": (["998"] * 20 + ["1.002"] + ["997"] * 20, ";", {"decimal": ","}, None),
+    "decimals": (["998,5"] * 20 + ["1,002"] + ["997,5"] * 20, ";", {}, 1.002),
+}
+
+
+@pytest.mark.parametrize("size", [10**6, 9])
+@pytest.mark.parametrize("case", LATE)
+def test_signs_for_thousands_that_come_late_are_read_from_a_pipe_as_from_a_file(tmp_path, case, size):
+    cells, delimiter, stated, number = LATE[case]
+    model = MODEL.replace(columns=with_format({}, stated))
+    text = text_of(cells, delimiter)
+    (tmp_path / "run.csv").write_text(text)
+    expected = jb.read(tmp_path / "run.csv", model).y[:, 0].tolist()
+    assert int(expected[20]) == int(number or 1002)
+    y, said = from_pipe(text, size, model)
+    assert (y.tolist(), said) == (expected, [])
+
+
+def test_signs_of_two_kinds_and_units_that_come_late_are_left_out_with_their_row():
+    for cells in (["998,5", "1.002,5", "1'003,5"], ["998,5", "1 %"], ["998,5", "ON"], ["998", "1.002,5"]):
+        y, said = from_pipe(text_of(cells))
+        assert len(y) == len(cells) - 1
+        assert f"line {len(cells) + 1} of column 'y1' holds {cells[-1]!r}, which is not a number" in said[0]
+
+
+@pytest.mark.parametrize(
+    "first, then", [("998,5", "1.000"), ("998.5", "1,000"), ("998", "1.000"), ("1.002", "998")]
+)
+@pytest.mark.parametrize("beside", ["", "999"])
+def test_zeros_behind_a_sign_for_thousands_are_never_lost_in_a_burst(tmp_path, first, then, beside):
+    """Cells that are read at once show their signs, too, where their numbers do not."""
+    cells = [first] * 12 + [then, beside or then] * 12
+    text = text_of(cells)
+    (tmp_path / "run.csv").write_text(text)
+    try:
+        known = jb.read(tmp_path / "run.csv", MODEL).y[:, 0]
+    except ValueError as e:
+        known = np.where(np.array(cells) == then, np.nan, [float(cell) for cell in cells])
+        assert "write whole numbers without signs for thousands" in str(e)
+    for size in (10**6, len(text_of(cells[:12])), 60):
+        said, pieces = [], []
+        model = MODEL.replace(columns={"where": "t >= 0"})
+        pipe = PipeText(model, lambda kind, sentence, said=said: said.append(sentence))
+        for at in range(0, len(text), size):
+            piece = pipe.take(text[at : at + size].encode())
+            pieces += [] if piece is None else [piece]
+            pipe = PipeText(model, pipe.complain, pipe.memory()) if pieces else pipe  # another process
+        time = np.concatenate([piece.time for piece in pieces]).astype(int)
+        np.testing.assert_array_equal(np.concatenate([piece.y[:, 0] for piece in pieces]), known[time])
+        assert len(time) + pipe.lost == len(cells) and (np.isfinite(known).all() or said)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxbound.sets.floats import rounding
+from jaxbound.sets.floats.one_thread import times
 
 CLOSE = float(10 * rounding.unit(np.float64) ** 0.75)
 """How much the largest error may exceed t where a search is done."""
@@ -18,6 +19,8 @@ WORTH = CLOSE**0.5
 """Share of the largest pivot below which none is taken: a small one would spoil the inverse."""
 PATIENCE = 10
 """Exchanges per unknown after which a search is given up; it takes 2 to 4."""
+NEAR = 2.0**-10
+"""How far the inverse may be off, in the sums of a row of 1 - S P, for a Newton step to mend it: squared."""
 LEAVE = 8
 """Exchanges after which a search leaves out the problems that are done."""
 
@@ -107,7 +110,7 @@ class _Search:
         others = self.there[:, :c].copy()
         chosen = self.S < c
         others[np.nonzero(chosen)[0], self.S[chosen]] = False
-        T = self.rows[:, :c] @ self.P
+        T = times(self.rows[:, :c], self.P)
         away = np.abs(self.values[:, :c] - (T @ self._on_S(self.values)[:, :, None])[:, :, 0])
         own = away / (self.radius[:, :c] + (np.abs(T) @ self._on_S(self.radius)[:, :, None])[:, :, 0])
         self.leader = np.where(others, own, -1).argmax(1)
@@ -170,14 +173,17 @@ class _Search:
         return done
 
     def polished(self) -> None:
-        """Work the inverse out anew where it can be."""
-        q = self.P.shape[1]
+        """Bring the inverse as near as floats can: by a Newton step, or anew where exchanges lost it."""
+        one = np.eye(self.P.shape[1])
         basis = np.take_along_axis(self.rows, self.S[:, :, None], 1)
-        good = np.isfinite(basis).all((1, 2))
+        # factoring wakes threads of the library from 100 unknowns on: a step takes products of one
+        left = one - times(basis, self.P)
+        near = np.abs(left).sum(2).max(1) < NEAR
+        self.P[near] += times(self.P[near], left[near])
+        lost = np.flatnonzero(~near & np.isfinite(basis).all((1, 2)))
         # an inverse of a singular basis would be noise: the one that was carried stays
-        good[good] = np.linalg.cond(basis[good], 1) < 1 / rounding.unit(np.float64)
-        inverse = np.linalg.inv(np.where(good[:, None, None], basis, np.eye(q)))
-        self.P = np.where(good[:, None, None], inverse, self.P)
+        lost = lost[np.linalg.cond(basis[lost], 1) < 1 / rounding.unit(np.float64)]
+        self.P[lost] = np.linalg.inv(basis[lost])
 
 
 def fitted(

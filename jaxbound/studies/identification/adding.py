@@ -274,7 +274,7 @@ def _grown_test(bank: MonitorBank, number: int, days: Sequence[Recording], most:
                 raise ValueError(
                     f"test {test.name!r}: {where} needs bounds {times(factor)} as wide, and then no fault "
                     f"like it is ever seen again. If it was healthy, say so by how much bounds may grow, "
-                    f"--most {least}, most={least}"
+                    f"--most {least}"
                 )
             widest = Grown(factor, day, sample)
         else:

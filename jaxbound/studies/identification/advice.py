@@ -55,7 +55,7 @@ def inputs_at_rest(
 
 COMPLETE_ONLY = (
     "tests that are not taken were judged by complete windows alone: windows that lack samples may ask for "
-    "wider bounds; fit one of them alone to see by how much, --recipe horizon=30, horizon=30"
+    "wider bounds; fit one of them alone to see by how much, --recipe horizon=30"
 )
 
 
@@ -137,7 +137,7 @@ def _few_windows(model: LinearSystem, check: FitCheck) -> str:
     return (
         f"the recordings hold only {whole} windows of {length} samples that do not overlap: bounds from so "
         f"little history may not last; record longer, or fit again with "
-        f"--recipe horizon={max(length // 2, 1)}, horizon={max(length // 2, 1)}"
+        f"--recipe horizon={max(length // 2, 1)}"
     )
 
 
@@ -146,7 +146,7 @@ def _left_out(model: LinearSystem, check: FitCheck, held_out: float) -> Iterator
     if not check.left_out:
         why, again = "the recording is too short to leave a part of it out", f"record more, and {SEVERAL}"
         if not held_out:
-            why, again = "nothing was left out", "fit again with --recipe held_out=0.3, held_out=0.3"
+            why, again = "nothing was left out", "fit again with --recipe held_out=0.3"
         yield f"{why}: what the monitor makes of data that it has not seen is unknown; {again}"
         return
     alone = len(check.recordings) == 1
@@ -217,7 +217,7 @@ def _blind(model: LinearSystem, check: FitCheck, name: str) -> str:
         size = "however large" if math.isinf(jump) else f"below {jump:.3g}{unit}"
         return (
             f"the monitor is blind for {name}: no jump {size} is sure to be seen, but {moved}; record what "
-            f"moves it, or fit again without it or with --recipe order=auto, order='auto'"
+            f"moves it, or fit again without it or with --recipe order=auto"
         )
     if not steady > span or model.horizon is None:
         return ""
@@ -225,6 +225,5 @@ def _blind(model: LinearSystem, check: FitCheck, name: str) -> str:
     return (
         f"an error of {name} that was there before the recording began and never changes may stay unseen, "
         f"{size}, and {moved}: within {model.horizon + 1} samples the model can follow it; a longer "
-        f"horizon sees smaller ones, --recipe horizon={2 * model.horizon + 1}, "
-        f"horizon={2 * model.horizon + 1}"
+        f"horizon sees smaller ones, --recipe horizon={2 * model.horizon + 1}"
     )

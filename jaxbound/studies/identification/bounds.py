@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxbound.models.system import FOR_OBSERVER, TO_THE_END, LinearSystem
 from jaxbound.recordings.hints import recorded_step
+from jaxbound.recordings.recordingformat import format_of
 from jaxbound.studies.identification.extrapolation import extrapolation
 from jaxbound.studies.identification.judging import Judge
 from jaxbound.studies.identification.records import Records, measured_count
@@ -37,7 +38,8 @@ def verified(
     bounds that each window uses.
 
     A bound is what the recorder rounds, as the resolution, and noise for the rest. Where the bound is smaller
-    than that, nothing is rounded: the plant itself moves in steps.
+    than that, nothing is rounded: the plant itself moves in steps. No bound is smaller than a deadband that
+    is stated, which is part of the resolution.
 
     Args:
         trial: with the smallest bounds, and the factor that recordings ask for which are left out. safety: by
@@ -47,10 +49,12 @@ def verified(
         ValueError: no bounds hold, not those that are a little wider either.
     """
     records, factor = training.records, trial.factor
-    spec = trial.candidate.spec | {"ranges": training.ranges}
+    spec = trial.candidate.spec | {"ranges": training.ranges, "columns": training.columns}
     if np.isfinite(trial.asked).any():
         spec["left_out"] = stated(factor)
-    beyond = extrapolation(trial, training)
+    beyond, windows = None, not {"horizon", "lags"}.isdisjoint(spec)
+    if windows:
+        beyond = extrapolation(trial, training)
     if beyond is not None:
         spec["extrapolation"] = stated(beyond.factor)
     several = "s" * (len(records) > 1)
@@ -58,7 +62,7 @@ def verified(
     meant = ""
     if trial.walks is not None:
         meant = f" {TO_THE_END}"
-    elif "horizon" not in spec and "lags" not in spec:
+    elif not windows:
         meant = f" {FOR_OBSERVER}"
     wide = factors_text(factor, safety)
     origin = {"model": source, "noise": f"{source}{meant}, {wide}"}
@@ -71,12 +75,17 @@ def verified(
     means = {}
     for name, own in trial.averages.items():
         means[name] = {samples: rounded_up(x * wider) for samples, x in own.items()}
-    rounds = dict(zip(spec["outputs"], _resolutions(records, len(bounds)), strict=True))
+    steps = dict(zip(spec["outputs"], _resolutions(records, len(bounds)), strict=True))
+    bands = format_of(training).deadbands(training.outputs)
     for _ in range(ATTEMPTS):
         exact = dict(zip(spec["outputs"], [Fraction(repr(x)) for x in bounds], strict=True))
-        rounds = {name: _below(rounds[name], x) for name, x in exact.items()}
+        exact = {name: max(x, bands[name]) for name, x in exact.items()}
+        steps = {name: _below(steps[name], x - bands[name]) for name, x in exact.items()}
+        rounds = {name: bands[name] + step for name, step in steps.items()}
         if any(rounds.values()):
             origin["resolution"] = "as the recordings are rounded"
+        if any(bands.values()):
+            origin["resolution"] = "the deadband that is stated, and as the recordings are rounded"
         disturbance = None
         if pushes:
             disturbance = directions, pushes

@@ -231,7 +231,7 @@ def _unseen(row: Tradeoff, see: Sequence[Fault]) -> tuple[str, ...]:
         size = row.sizes[_label(fault)]
         if size <= abs(fault.size):
             continue
-        text = "none is, however large; fit again with --recipe order=auto, order='auto'"
+        text = "none is, however large; fit again with --recipe order=auto"
         if math.isfinite(size):
             text = f"it is from {size:.3g} on; fit again with see={fault.signal}:{fault.kind}:{size:.2g}"
         sentences.append(

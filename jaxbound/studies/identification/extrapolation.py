@@ -2,8 +2,10 @@
 
 A recording that is left out moves its inputs beyond the others. The largest need of its windows there, over
 the largest of those within the ranges of the others, is what extrapolation costs on that day; bounds of 1
-hold whatever the days ask for. Of several days the geometric mean counts, as of the factor on all bounds: a
-day that is unlike the others is so inside, too.
+hold whatever the days ask for, and what bounds grow the farther outside a window lies is taken off before. Of
+several days the geometric mean counts, as of the factor on all bounds: a day that is unlike the others is so
+inside, too. Few days say little of it: what two of them told of a third was 1.0 where it needed 1.5 (an air
+handler), or six (a plant that is not linear).
 """
 
 import dataclasses
@@ -12,49 +14,67 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxbound.models.region import Region
+from jaxbound.models.region import GRADES, Region
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.training import Training
-from jaxbound.studies.identification.trial import Trial
+from jaxbound.studies.identification.trial import Trial, few_days
 from jaxbound.studies.tuning.widening import stated
+
+FEW_DAYS_OUTSIDE = 1.5
+"""Factor for two recordings on top of what they ask for outside, its root of order n - 1 for n."""
 
 
 class Extrapolation(NamedTuple):
-    """The factor on bounds outside of training, and how many windows of how many recordings tell it."""
+    """The factor on bounds outside of training, how many windows of how many recordings tell it, and the
+    factor for few recordings in it.
+    """
 
     factor: float
     windows: int
     recordings: int
+    few: float
 
     @property
     def text(self) -> str:
         """The words of its provenance."""
+        few = f"times {self.few:.3g} for so few recordings"
+        if not self.recordings:
+            return f"assumed: {few}: none, left out, reaches beyond the others"
         many = f"{self.windows} windows of {self.recordings} recording{'s' * (self.recordings > 1)}"
-        return f"fitted: needs of {many} outside the ranges of the others, over those inside"
+        told = f"needs of {many} outside the ranges of the others, over those inside"
+        return f"fitted: {told}, {few}"
 
 
 def extrapolation(trial: Trial, training: Training) -> Extrapolation | None:
-    """Return the factor that windows outside the ranges of other recordings ask for; None: none are known, or
-    they ask for no wider bounds.
+    """Return the factor that windows outside the ranges of other recordings ask for, and few of
+    them; None: nothing was left out whole, or no wider bounds are asked for.
+
+    Args:
+        trial: of windows. An observer rests on all samples before, which lie on both sides.
     """
     logs, windows, records = [], 0, training.records
-    if len(trial.left) != len(records):
+    growth = 1 + np.array(GRADES, float)  # how much wider bounds are the farther outside, whatever is found
+    if not trial.left:
         return None
-    for number, (one, (u, _, _)) in enumerate(zip(trial.left, records, strict=True)):
+    left = trial.left
+    if len(left) != len(records):  # blocks of one recording, which say nothing of another day
+        left = ()
+    for number, (one, (u, _, _)) in enumerate(zip(left, records, strict=False)):
         if one.model is None:
             continue
         model = LinearSystem(**one.model, noise=trial.bound.tolist())
-        if model.horizon is None:  # an observer rests on all samples before, which lie on both sides
-            return None
+        assert model.horizon is not None, "an observer has none"
         others = dataclasses.replace(training, records=[*records[:number], *records[number + 1 :]])
         region = Region.between(model, others.ranges, model.horizon)
         known = np.isfinite(one.need)
-        out = region.departure(u, ~known).share > 0
+        grade = region.departure(u, ~known).grade
+        out = grade >= 0
         if out.any() and (known & ~out).any():
-            inside, outside = one.need[known & ~out].max(), one.need[out].max()
+            inside, outside = one.need[known & ~out].max(), (one.need[out] / growth[grade[out]]).max()
             logs.append(math.log(max(outside, 1.0) / max(inside, 1.0)))
             windows += int(out.sum())
-    factor = math.exp(sum(logs) / max(len(logs), 1))
-    if stated(max(factor, 1.0)) == 1:
+    few = few_days(len(records), FEW_DAYS_OUTSIDE)
+    factor = few * math.exp(sum(logs) / max(len(logs), 1))
+    if stated(factor) == 1:
         return None
-    return Extrapolation(factor, windows, len(logs))
+    return Extrapolation(factor, windows, len(logs), few)

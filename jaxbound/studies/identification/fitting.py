@@ -19,7 +19,7 @@ from typing import overload
 from jaxbound.models.arguments import table_argument, taking_fields
 from jaxbound.models.conversion import ModelLike
 from jaxbound.recordings.expressions import with_angles
-from jaxbound.recordings.means import with_every
+from jaxbound.recordings.means import every_step
 from jaxbound.recordings.recordingformat import Stated, with_format
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
@@ -57,7 +57,6 @@ def fit(
     inputs: str | Sequence[str] | None = ...,
     outputs: str | Sequence[str] | None = ...,
     dt: float | None = ...,
-    every: str | None = ...,
     name: str = ...,
     units: Mapping[str, str] | None = ...,
     columns: Mapping[str, str] | None = ...,
@@ -87,7 +86,6 @@ def fit(
     inputs: str | Sequence[str] | None = None,
     outputs: str | Sequence[str] | None = None,
     dt: float | None = None,
-    every: str | None = None,
     name: str = "fitted",
     units: Mapping[str, str] | None = None,
     columns: Mapping[str, str] | None = None,
@@ -113,11 +111,11 @@ def fit(
         recipe: how to fit, and for which test: see `Recipe`; or the path of a model file that `fit` wrote, to
             fit as it was fitted. None: what is chosen by recordings that are left out.
         inputs, outputs: names; needed with tables and paths. dt: sampling period in s; None: what the times
-            of tables, paths or a Recording say, else 1. every: an interval of the clock, like "15min":
-            samples are the means of what was recorded within each, and the model keeps it.
+            of tables, paths or a Recording say, else 1.
         name, units, columns: as of a LinearSystem; tables are read by these columns too. Of a column
             "= angle(wind)" the signal becomes two, its sine and its cosine. recording: how files are written,
-            see `RecordingFormat`. progress: called with the share of the work done.
+            see `RecordingFormat`; {"every": "15min"}: samples are the means of what was recorded within
+            intervals of the clock, and the model keeps it. progress: called with the share of the work done.
         add: a model, or the path of its file, that is widened by the recordings instead: each of its tests
             just enough to hold them, proved; most: more than so many times, by default 3, is refused, for a
             fault would be learnt.
@@ -141,7 +139,7 @@ def fit(
     """
     if add is not None:
         new = {"recipe": recipe, "inputs": inputs, "outputs": outputs, "recording": recording, "dt": dt}
-        for field, value in {**new, "every": every, "units": units, "columns": columns, **fields}.items():
+        for field, value in {**new, "units": units, "columns": columns, **fields}.items():
             if value is not None:
                 raise ValueError(f"add widens a model as it is: leave {field} out")
         return widen(add, recordings, MOST if most is None else most, progress)
@@ -150,7 +148,8 @@ def fit(
     plan = recipe_of(recipe, fields)
     columns = table_argument("columns", columns, "{'Q': 'Heater 1'}")
     units = table_argument("units", units, "{'T': 'degC'}")
-    columns, dt = with_every(with_format(columns, recording), dt, every)
+    columns = with_format(columns, recording)
+    dt = every_step(columns, dt)
     inputs = begin_with = names_of("inputs", inputs)
     if begin_with is not None:
         begin_with, columns = with_angles(begin_with, columns)

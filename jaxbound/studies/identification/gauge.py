@@ -24,9 +24,9 @@ import numpy as np
 from jaxbound.models.average import Average
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import model_matrices
+from jaxbound.sets.floats.one_thread import times
 from jaxbound.sets.strips.chebyshev import fitted
 from jaxbound.studies.identification.judging import Judge, Sizes
-from jaxbound.studies.identification.one_thread import times
 from jaxbound.studies.identification.records import Record, Records
 from jaxbound.studies.identification.regression import Scales, complete_windows, courses
 

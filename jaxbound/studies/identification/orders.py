@@ -79,9 +79,9 @@ def acting_otherwise(records: Records, order: int, delay: int, direct: bool) -> 
     (other, at_once), least = min(errors.items(), key=lambda one: one[1])
     if not least <= CLEARLY * present < np.inf:
         return []
-    act, how = f"{other} sample{'s' * (other > 1)} later", f"--recipe delay={other}, delay={other}"
+    act, how = f"{other} sample{'s' * (other > 1)} later", f"--recipe delay={other}"
     if at_once:
-        act, how = "on outputs of the same sample", "--recipe direct=true, direct=True"
+        act, how = "on outputs of the same sample", "--recipe direct=true"
     return [
         f"inputs seem to act {act}: errors one step ahead are then {least / present:.2f} times as large, and "
         f"bounds may be as much smaller; fit again with {how}"

@@ -24,8 +24,8 @@ from jaxbound.recordings.hints import recorded_step
 from jaxbound.recordings.means import every_of
 from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.signals import SignalModel
+from jaxbound.sets.floats.one_thread import times
 from jaxbound.studies.identification import regression
-from jaxbound.studies.identification.one_thread import times
 from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.structure import delayed
 from jaxbound.text.names import listed

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxbound.recordings.seams import crossing
-from jaxbound.studies.identification.one_thread import times
+from jaxbound.sets.floats.one_thread import times
 from jaxbound.studies.identification.records import Records
 
 STEPS, SETTLED = 60, 1e-6

@@ -157,7 +157,7 @@ def _best(problem: FitProblem, step: Callable[[float], object]) -> tuple[Trial, 
     if follow == AUTO and not why and not any(np.isfinite(one.factor) for one in best.left):
         why = "no recording says, left out, how strongly bounds have to follow the operating point"
     if why:
-        again = "they are constant; a weight does not ask, --recipe follow=0.1, follow=0.1"
+        again = "they are constant; a weight does not ask, --recipe follow=0.1"
         return best, [f"{why}: {again}"]
     if follow != AUTO:
         return tried(problem, best.candidate.kind, float(follow)), []

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxbound.recordings.recording import Recording
-from jaxbound.recordings.recordingformat import agreed, with_format
+from jaxbound.recordings.recordingformat import agreed, with_format, without_deadband
 from jaxbound.studies.identification.records import Names, Records, common_period, read_each
 from jaxbound.studies.identification.regression import Scales, scales_of
 
@@ -59,9 +59,9 @@ class Training:
 
     @property
     def about(self) -> dict[str, Any]:
-        """The arguments of a LinearSystem."""
-        names = ("dt", "inputs", "outputs", "units", "columns", "name")
-        return {name: getattr(self, name) for name in names}
+        """The arguments of a LinearSystem whose bounds are found: a deadband is part of these."""
+        names = ("dt", "inputs", "outputs", "units", "name")
+        return {name: getattr(self, name) for name in names} | {"columns": without_deadband(self.columns)}
 
     def again(self) -> list[Recording]:
         """Return the recordings with the times of their samples."""

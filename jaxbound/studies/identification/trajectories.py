@@ -45,7 +45,7 @@ steps where it ends, and one may search for its corner for ever.
 """
 AWAKE = 0.5
 """Seconds between two looks at a program that runs."""
-SMALLER = "fewer samples make programs smaller: give shorter recordings, or --every 1min, every='1min'"
+SMALLER = "fewer samples make programs smaller: give shorter recordings, or --recording every=1min"
 """The way out where programs are given up."""
 
 

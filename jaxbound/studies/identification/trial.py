@@ -157,14 +157,14 @@ def factor_of(asked: Sequence[float], days: int) -> float:
     return float(mean) * few_days(days)
 
 
-def few_days(days: int) -> float:
-    """Return the factor for few recordings.
+def few_days(days: int, of_two: float = FEW_DAYS) -> float:
+    """Return the factor for few recordings. of_two: that for two.
 
     Example:
         >>> few_days(2), round(few_days(5), 3)
         (1.15, 1.036)
     """
-    return float(FEW_DAYS ** (1 / max(days - 1, 1)))
+    return float(of_two ** (1 / max(days - 1, 1)))
 
 
 def tried(problem: FitProblem, kind: str, weight: float = 0.0) -> Trial:

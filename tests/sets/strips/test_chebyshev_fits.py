@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from jaxbound.sets.strips.chebyshev import fitted
+from jaxbound.sets.strips.chebyshev import _Search, fitted
 
 
 def least(B, b, radius, there, free):
@@ -39,6 +39,24 @@ def test_the_largest_error_is_that_of_the_program(c, q, rng):
         width = np.abs(fit.h[n]) @ radius[n, :c] + np.abs(np.where(free[n], 0, through)) @ radius[n, c:]
         np.testing.assert_allclose(abs(fit.h[n] @ np.where(there[n], b[n], 0)), fit.t[n] * width, atol=1e-7)
         np.testing.assert_allclose(through[free[n]], 0, atol=1e-7 * max(1, width))
+
+
+@pytest.mark.parametrize("off, factored", [(1e-5, 0), (1.0, 1)])
+def test_an_inverse_is_mended_without_a_factorisation_unless_it_is_lost(rng, monkeypatch, off, factored):
+    """From 100 rows on a library factors by threads, which wait for each other on a busy machine."""
+    inverse, asked = np.linalg.inv, []
+    rows = rng.normal(size=(3, 12, 5))
+    rows[2] = 1.0  # no basis: what was carried stays
+    S = np.array([rng.permutation(12)[:5] for _ in range(3)])
+    basis = np.take_along_axis(rows, S[:, :, None], 1)
+    P = np.concatenate([inverse(basis[:2]), rng.normal(size=(1, 5, 5))])
+    search = _Search(rows, *np.ones((2, 3, 12)), np.ones((3, 12), bool), P.copy(), S, P[0], S[0])
+    search.P[1] += off
+    monkeypatch.setattr(np.linalg, "inv", lambda x: asked.append(len(x)) or inverse(x))
+    search.polished()
+    np.testing.assert_allclose(basis[:2] @ search.P[:2], np.broadcast_to(np.eye(5), (2, 5, 5)), atol=1e-8)
+    np.testing.assert_array_equal(search.P[2], P[2])
+    assert sum(asked) == factored
 
 
 def test_without_a_row_beside_those_that_tell_there_is_nothing_to_fit():

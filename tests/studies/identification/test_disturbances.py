@@ -189,7 +189,7 @@ def test_disturbances_whose_program_is_given_up_are_named(rng, monkeypatch):
     model = jb.fit(recordings, **options)
     (sentence,) = [text for text in model.check.sentences if "not compared" in text]
     assert sentence.startswith("3 of 10 disturbances were not compared, first process 0.01 and drift 0 by")
-    assert sentence.endswith("give shorter recordings, or --every 1min, every='1min'")
+    assert sentence.endswith("give shorter recordings, or --recording every=1min")
     assert not any(row.process and not row.drift for row in model.check.tradeoff)
     limited(monkeypatch, lambda columns: True)
     with pytest.raises(ValueError, match="no disturbances could be judged, process 0 .* reached its limits"):

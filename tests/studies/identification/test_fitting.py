@@ -394,6 +394,7 @@ class TestObserver:
         model = jb.fit(records, **self.OF, observer=observer, safety=1)
         check = model.check
         assert model.horizon is None and model.lags is None and check.steady == {}
+        assert model.extrapolation is None, "it rests on all samples before, inside and outside"
         assert "for an observer" in model.provenance["noise"]
 
         def follows(bound, recording, of=model):
