@@ -16,7 +16,7 @@ FACTORS = {
 }
 
 
-def case(rng, n, p, horizon=None, lags=None, g=0):
+def case(rng, n, p, horizon=None, lags=None, g=0, mean=None):
     """Return (a model, its window, functions of its factors by output)."""
     rounded = lambda *shape: np.round(0.5 * rng.normal(size=shape), 2)
     A = rounded(n, n) + 0.4 * np.eye(n)
@@ -39,6 +39,10 @@ def case(rng, n, p, horizon=None, lags=None, g=0):
         columns={"fan": "Fan [%]"},
         times=chosen,
     )
+    if mean:  # of the first output, which has a factor, and whose samples weigh differently
+        weights = [1, *[2] * (mean - 2), -1]
+        averages = {"T0": [(weights, 0.6 * (2 * mean - 2) * float(model.noise[0]))]}
+        model = model.replace(tolerance=[0, *model.tolerance[1:]], averages=averages)
     window = {"lags": lags} if lags else {"horizon": horizon}
     return model, window, {name: FACTORS[text] for name, text in chosen.items()}
 
@@ -79,7 +83,7 @@ def gauge(model, window, u, y, f, unit):
     lags = window.get("lags", range(s + 1))
     columns = n + s * g
     state, drive = np.eye(n, columns), np.zeros(n)  # x = state z + drive
-    rows, sides = [], []
+    rows, sides, true = [], [], []
 
     def between(row, value, middle, half):
         for sign in (1, -1):  # sign (row z + value - middle) <= t half
@@ -88,6 +92,7 @@ def gauge(model, window, u, y, f, unit):
 
     for k in range(s + 1):
         deviation = u[k, 0] - float(model.offset["u"][0])
+        true.append((C[0] @ state, C[0] @ drive + D[0, 0] * deviation))
         for i in range(p):
             if s - k not in lags or np.isnan(y[k, i]):
                 continue
@@ -104,6 +109,17 @@ def gauge(model, window, u, y, f, unit):
             state, drive = A @ state, A @ drive + B[:, 0] * deviation
             if g:
                 state[:, n + k * g : n + (k + 1) * g] += G
+    for average in model.averages:
+        weights, d = np.array(average.weights, float), y[:, 0] - float(model.offset["y"][0])
+        size, most = np.abs(weights).sum(), float(model.noise[0]) * f[:, 0].max()
+        slip = float(model.resolution[0]) + 4 * unit * (np.nanmax(abs(y[:, 0])) + most)
+        for first in range(s + 2 - len(weights)):
+            run = slice(first, first + len(weights))
+            half = float(average.bound) * (np.abs(weights) @ f[run, 0]) / size + size * slip
+            terms = list(zip(weights, true[run], strict=True))
+            if not np.isnan(d[run]).any():
+                row, value = (sum(w * one[part] for w, one in terms) for part in (0, 1))
+                between(np.pad(row, (0, columns - len(row))), value, weights @ d[run], half)
     for j in range(s * g):
         lo, hi = map(float, model.disturbance[j % g])
         between(np.eye(columns)[n + j], 0.0, (lo + hi) / 2, (hi - lo) / 2)

@@ -210,7 +210,7 @@ def _is_taken(test: JudgedTest, model: Fitted) -> bool:
 def _plain_test(test: JudgedTest, model: Fitted) -> dict[str, Any]:
     """Return the fields of a test that was tried, those of its windows first."""
     fields = {"name": test.window.text} | test.window._asdict() | test._asdict()
-    for hidden in ("window", "blindness", "reach"):
+    for hidden in ("window", "blindness", "reach", "typical"):
         del fields[hidden]
     return fields | {"chosen": _is_taken(test, model)}
 

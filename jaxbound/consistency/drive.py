@@ -135,7 +135,7 @@ def windows(
     Args:
         test, given, progress: as for `drive`. size: windows at once; None: as the test says.
     """
-    judged = _as_stated(test, given, progress, size)
+    judged = as_stated(test, given, progress, size)
     outside = outside_test(test)
     if outside is None:
         return judged
@@ -144,7 +144,7 @@ def windows(
         at = np.flatnonzero(departure.grade == grade)
         first, samples = stretches_around(at, test.horizon)
         beyond = Recording(end_to_end(given.u)[samples], end_to_end(given.y)[samples], first[1:])
-        wide = _as_stated(outside.test(grade), beyond, size=size)
+        wide = as_stated(outside.test(grade), beyond, size=size)
         judged = _with_those(judged, wide, at, np.searchsorted(samples, at))
     return judged
 
@@ -176,7 +176,7 @@ def stretches_around(at: np.ndarray, horizon: int) -> tuple[np.ndarray, np.ndarr
     return np.cumsum(lengths) - lengths, samples
 
 
-def _as_stated(
+def as_stated(
     test: WindowTest, given: Recording, progress: Progress | None = None, size: int | None = None
 ) -> Judged:
     """Return the verdicts of windows under the bounds of a test, wherever they lie. Args: as of `windows`."""
@@ -202,7 +202,7 @@ def _as_stated(
 
     def missing(some_u: np.ndarray, some_y: np.ndarray) -> np.ndarray:
         with outside_xla():
-            alone = _as_stated(test, Recording(some_u, some_y), size=block)
+            alone = as_stated(test, Recording(some_u, some_y), size=block)
         return np.asarray(alone.status[:, -1] == Status.MISSING)
 
     with searching():
@@ -291,7 +291,7 @@ def _contradicted(
         at = starts[chosen, None] + np.arange(test.horizon + 1)
         # A primitive of a newer jax, which NumPy does not know, confirms nothing.
         with outside_xla(), contextlib.suppress(NotImplementedError):
-            judged = _as_stated(test, Recording(u[at], y[at]), size=size)
+            judged = as_stated(test, Recording(u[at], y[at]), size=size)
             refuted[chosen] = judged.status[:, -1] == Status.FAULT
     return refuted
 

@@ -22,9 +22,9 @@ from typing import ClassVar, NamedTuple, TypeAlias
 import numpy as np
 
 from jaxbound.consistency.interface import Array
-from jaxbound.consistency.reading import AVERAGING, Reading
+from jaxbound.consistency.reading import Reading
 from jaxbound.exact.integers import places, whole_floats
-from jaxbound.models.rows import Kind
+from jaxbound.models.rows import Kind, WeightedSum
 from jaxbound.models.sensor import RECORDER_ULPS, input_slip
 from jaxbound.models.system import LinearSystem
 from jaxbound.sets.floats import rounding
@@ -98,7 +98,10 @@ class _Whole(_Doubles):
         shift = 1 - int(np.log2(float(RECORDER_ULPS * rounding.unit(y.dtype))))
         self._finest = max(map(places, factors), default=0)
         self._power = shift + max(map(places, (known, input_slip(known), y, *bounds))) + self._finest
-        divisors = [x.denominator for values in reading.window.sums for _, w in values.parts for x in w]
+        divisors = []
+        for values in reading.window.sums:
+            for weight in (x for _, weights in values.parts for x in weights):
+                divisors += [weight.denominator, (weight / values.size).denominator]
         for sigma in doubles(reading.tolerance).tolist():
             divisors += [(1 - Fraction(sigma)).numerator, (1 + Fraction(sigma)).numerator]
         self._rest = lcm(*divisors) * lcm(*(x.denominator for name in "uy" for x in model.offset[name]))
@@ -301,8 +304,14 @@ class HostRows:
         reach = np.zeros(())
         if values.measured:
             runs = len(self._y) - values.samples + 1
+            if r.follows(values):
+                half = self._followed(values, half, runs)
             for i, weights in values.parts:
-                slip = self._slip(i, own.number(float(r.noise[i])))
+                noise: Ends = own.number(float(r.noise[i]))
+                factor = r.factor(self._u, i)
+                if factor is not None:
+                    noise = np.max(own.factored(noise, factor), 0)
+                slip = self._slip(i, noise)
                 half = half + own.times(slip, values.size_of(i))
                 d = self._samples[:, i] - self._offset[i]
                 for lag, weight in enumerate(weights):
@@ -312,10 +321,24 @@ class HostRows:
         size: Ends = 0
         if not self.exact:
             half = half * SLIGHTLY + own.tiny * (values.terms + float(values.size)) * 8
-            size = (2 + values.terms / AVERAGING) * (reach + half)
+            widest = np.max(np.atleast_1d(half), 0)
+            size = (2 + values.terms / r.averaging(values)) * (reach + widest)
         if not values.measured:
             return Series(-half, half, size)
         return Series(mid - half, mid + half, size)
+
+    def _followed(self, values: WeightedSum, bound: Ends, runs: int) -> np.ndarray:
+        """Return the bound of each run of a sum: times the mean of the factors on its samples, by weight."""
+        own = self._in
+        total: np.ndarray = np.zeros((), own.kind)
+        for i, weights in values.parts:
+            factor = self._reading.factor(self._u, i)
+            for lag, weight in enumerate(weights):
+                allowed = bound
+                if factor is not None:
+                    allowed = own.factored(bound, factor[lag : lag + runs])
+                total = total + own.times(allowed, abs(weight) / values.size)
+        return total
 
 
 def doubles(x: Array) -> np.ndarray:

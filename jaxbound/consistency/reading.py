@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbound.models import sensor
-from jaxbound.models.rows import WindowRows
+from jaxbound.models.rows import WeightedSum, WindowRows
 from jaxbound.sets.floats import rounding
 from jaxbound.sets.strips.separation import Frame
 from jaxbound.sets.strips.strips import Strips
@@ -186,20 +186,31 @@ class Reading:
         parts = [tuple(x.reshape(-1, count) for x in own)]
         if self.horizon and len(self.disturbance):
             parts += [self._disturbance(y[0, 0])] * self.horizon
-        parts += [self._summed(number, whole, largest[0]) for number in range(len(self.window.sums))]
+        parts += [self._summed(number, u, whole, largest[0]) for number in range(len(self.window.sums))]
         mid, rad, scale = map(jnp.concatenate, zip(*parts, strict=True))
         u = self.inputs(u)
         known = u - self.offset_u[None, :, None]
         known_scale = abs(u) + abs(self.offset_u)[None, :, None]
         return RowValues(mid, rad, scale, known.reshape(-1, count), known_scale.reshape(-1, count))
 
-    def _summed(self, number: int, y: jax.Array, largest: jax.Array) -> Parts:
+    def follows(self, values: WeightedSum) -> bool:
+        """Return whether the bound of a sum is times factors."""
+        return values.measured and any(i in self.times for i, _ in values.parts)
+
+    def averaging(self, values: WeightedSum) -> int:
+        """Return the terms of a sum that the error bound of one row pays for, see `_summed`."""
+        if self.follows(values):
+            return AVERAGING // 2
+        return AVERAGING
+
+    def _summed(self, number: int, u: jax.Array, y: jax.Array, largest: jax.Array) -> Parts:
         """Return (mid, rad, scale) of the runs of one sum, (runs, N) each, NaN in mid and scale where a
         sample is missing.
 
         The middle, a sum of n products, is off by (n + 4) u S and the radius by (n + 8) u S with S the
         magnitude of all its terms and the radius together; a magnitude of (2 + n / 16) S has
-        `rounding.residual_error` pay for that: 32 u (1 + n / 16) S beyond what it pays for any row. What
+        `rounding.residual_error` pay for that: 32 u (1 + n / 16) S beyond what it pays for any row. A bound
+        times the mean of n factors is off by (n + 4) u S more, which n / 8 in place of n / 16 pays for. What
         underflows costs less than the floor in the radius.
         """
         values, runs = self.window.sums[number], self.window.runs(number)
@@ -210,23 +221,52 @@ class Reading:
         if not values.measured or not runs:
             rad = bound * one
             return 0 * one, rad, (2 + n / AVERAGING) * rad
-        slips = [self._slip(i, largest) for i, _ in parts]
+        slips = [self._slip(i, largest, self._most_noise(u, i)) for i, _ in parts]
         sums: tuple[jax.Array, ...] = ()
         for i, weights in parts:
             sums = self._added(sums, one, weights, y, i)
         mid, magnitude = sums
         rad = bound * one
+        if self.follows(values):
+            rad = self._followed(number, u, 2 * tiny * (n + total) * one)
         for (_, weights), slip in zip(parts, slips, strict=True):
             rad = rad + np.asarray(_size(weights), dtype) * slip[None]
         looked = np.array([row.seen for row in runs])[:, None]
-        scale = jnp.where(looked, (2 + n / AVERAGING) * (magnitude + rad), jnp.nan)
+        scale = jnp.where(looked, (2 + n / self.averaging(values)) * (magnitude + rad), jnp.nan)
         return jnp.where(jnp.isnan(scale), jnp.nan, mid), rad, scale
 
-    def _slip(self, i: int, largest: jax.Array) -> jax.Array:
+    def _followed(self, number: int, u: jax.Array, rad: jax.Array) -> jax.Array:
+        """Return rad (runs, N) and the bound of each run of a sum, times the mean of the factors on its
+        samples, by weight.
+        """
+        values, runs = self.window.sums[number], len(rad)
+        for i, weights in values.parts:
+            factor = self.factor(u, i)
+            shares = np.array([float(abs(x) / values.size) for x in weights], rad.dtype)
+            if factor is None:
+                factor = jnp.ones_like(u[:, 0])
+            allowed = self.average[number] * factor
+
+            def add(
+                k: jax.Array, sums: jax.Array, shares: np.ndarray = shares, allowed: jax.Array = allowed
+            ) -> jax.Array:
+                return sums + jnp.asarray(shares)[k] * jax.lax.dynamic_slice_in_dim(allowed, k, runs, 0)
+
+            rad = jax.lax.fori_loop(0, len(weights), add, rad)
+        return rad
+
+    def _most_noise(self, u: jax.Array, i: int) -> jax.Array:
+        """Return the noise of output i, of windows u (lags, m, N) the largest of each."""
+        factor = self.factor(u, i)
+        if factor is None:
+            return self.noise[i]
+        return self.noise[i] * jnp.max(factor, 0)
+
+    def _slip(self, i: int, largest: jax.Array, noise: jax.Array) -> jax.Array:
         """Return (N,), how much resolution and recorder may have rounded away of a sample of output i."""
         ulps = sensor.RECORDER_ULPS * rounding.unit(largest.dtype)
         top = np.finfo(largest.dtype).max
-        return self.resolution[i] + ulps * (jnp.minimum(largest[i], top) + self.noise[i])
+        return self.resolution[i] + ulps * (jnp.minimum(largest[i], top) + noise)
 
     def _added(
         self, sums: tuple[jax.Array, ...], one: jax.Array, weights: tuple[float, ...], y: jax.Array, i: int

@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from jaxbound.certificates.interface import Judgement
-from jaxbound.consistency.drive import drive
+from jaxbound.consistency.drive import as_stated
 from jaxbound.consistency.interface import AUTO, EXACT, margins_for, window_count
 from jaxbound.models.system import LinearSystem
 from jaxbound.recordings.expressions import is_expression
@@ -150,8 +150,8 @@ def _converted_windows(
 
 
 def _consistent(relations: ParityRelation, converted: np.ndarray) -> np.ndarray:
-    """Return which windows (tries, N, s + 1, inputs and outputs) are CONSISTENT, as `detect` would judge
-    them: little is compiled for a hint alone.
+    """Return which windows (tries, N, s + 1, inputs and outputs) are CONSISTENT under the bounds as stated:
+    the wider ones outside of training would explain too many. Little is compiled for a hint alone.
     """
     model = relations.model
     u, y = np.split(converted, [model.m], -1)
@@ -162,8 +162,8 @@ def _consistent(relations: ParityRelation, converted: np.ndarray) -> np.ndarray:
         test = test.measured()
     with sparing():
         work = count * test.weight
-        judged = tried_in_numpy(partial(drive, test, given), work, ("hint", test.kind))
-        status = (judged or drive(test, given)).status[..., -1]
+        judged = tried_in_numpy(partial(as_stated, test, given), work, ("hint", test.kind))
+        status = (judged or as_stated(test, given)).status[..., -1]
     return np.asarray(status == Status.CONSISTENT)
 
 

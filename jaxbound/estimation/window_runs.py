@@ -72,6 +72,7 @@ def bounds_of(runs: AverageRows, rad: np.ndarray) -> np.ndarray:
         rad (L, p, N): of samples, infinite without one.
     """
     seen = np.isfinite(rad)
+    # b times the mean of factors f is at most b + sum |v| (f - 1) noise, wherever b says more than noise
     excess = np.maximum(np.where(seen, rad, 0).astype(np.float64) - runs.noise[:, None], 0)
     # a disturbance acts on the samples behind it
     any_later = np.cumsum(seen.any(1)[::-1], 0)[::-1] > 0

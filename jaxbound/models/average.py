@@ -7,7 +7,8 @@ One bound a sample lets an error sit at its limit for a whole window. |v| <= b a
     |sum_k f_k v_(j+k)| <= bound        for every run of len(f) consecutive samples that lies in a window
 
 One more row of the same exact test each. v is what a reading is off by, noise and rounding together: what is
-rounded away adds its own part to the bound. Of a run with a missing sample nothing is said.
+rounded away adds its own part to the bound. Of a run with a missing sample nothing is said. Where the noise
+of a sensor is times a factor f, so is the bound: times the mean of f over the run, by the weights.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,6 +1,8 @@
 """A model with factors on its noise at one operating point: a model without them."""
 
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 from jaxbound.exact.linalg import Number
 from jaxbound.models.numbers import number
@@ -17,7 +19,8 @@ def at_factors(model: LinearSystem, factors: Mapping[str, Number] | None) -> Lin
     Raises:
         ValueError: a factor that is missing, negative, or of an output that has none.
     """
-    stated, named = dict(factors or {}), list(model.times)
+    stated: dict[str, Any] = dict(factors or {})
+    named = list(model.times)
     if sorted(stated) != sorted(named):
         raise ValueError(
             f"the model has factors on the noise of {listed(named) or 'no output'}: give factors, the "
@@ -29,4 +32,6 @@ def at_factors(model: LinearSystem, factors: Mapping[str, Number] | None) -> Lin
         if value < 0:
             raise ValueError(f"the factor on the noise of {factor.output!r} must be >= 0, not {value}")
         noise[factor.number] *= value
-    return model.replace(noise=noise, times=None)
+        stated[factor.output] = value
+    averages = [replace(one, bound=stated.get(one.signal, 1) * one.bound) for one in model.averages]
+    return model.replace(noise=noise, averages=averages, times=None)

@@ -429,11 +429,6 @@ def _averages(
         )
     for average in averages:
         signal = average.signal
-        if signal in dict(measured.times):
-            raise ValueError(
-                f"averages and times of {signal!r} do not go together: errors whose bound follows a factor "
-                f"have no one bound on their mean"
-            )
         if signal in outputs and measured.tolerance[outputs.index(signal)]:
             raise ValueError(
                 f"averages of {signal!r} need its tolerance to be 0: a relative error of samples that "

@@ -1,5 +1,6 @@
 """Relations as a reader would write them."""
 
+import re
 from collections.abc import Iterable
 from fractions import Fraction
 
@@ -10,6 +11,7 @@ from jaxbound.models.rows import Kind, Row
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.window import window_rows
 
+LABEL = re.compile(r"(?:[^\s:]+: )+")
 FEW = 8
 """Relations that are shown at a prompt."""
 
@@ -42,14 +44,17 @@ def main_terms(relation: str, most: int = 6) -> str:
     Example:
         >>> main_terms("2 a[k-1] - 0.1 b[k] + c[k] = 0", most=2)
         '2 a[k-1] + c[k] + ... = 0'
+        >>> main_terms("0.5 AHU: T[k-1] + AHU: T[k] - 0.1 AHU: u[k] = 0", most=2)
+        '0.5 AHU: T[k-1] + AHU: T[k] + ... = 0'
         >>> main_terms("r1: (q^2 - 0.1 q + 3) a - b = 0", most=2)
         'r1: (q^2 + 3 + ...) a - b = 0'
     """
-    name, colon, rest = relation.rpartition(": ")
-    left, equals, right = rest.partition(" = ")
+    named = LABEL.match(relation)
+    begun = named.end() if named else 0  # a signal may have a colon in its name, too
+    left, equals, right = relation[begun:].partition(" = ")
     if not equals:
         return relation
-    return f"{name}{colon}{_largest(left, most)} = {right}"
+    return f"{relation[:begun]}{_largest(left, most)} = {right}"
 
 
 def _largest(total: str, most: int) -> str:

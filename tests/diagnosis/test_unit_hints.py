@@ -48,10 +48,10 @@ def test_windows_without_a_sample_are_not_tested_again(relations, rng, monkeypat
 
     def whole(test, recording):
         assert not np.isnan(recording.y).any()
-        return drive(test, recording)
+        return as_stated(test, recording)
 
-    drive = units.drive
-    monkeypatch.setattr(units, "drive", whole)
+    as_stated = units.as_stated
+    monkeypatch.setattr(units, "as_stated", whole)
     (hint,) = units.unit_hints(result)
     assert "T1 and T2 look like kelvin where the model has degC" in hint
 
@@ -74,10 +74,10 @@ def test_a_wrong_conversion_costs_a_few_windows(relations, rng, monkeypatch):
 
     def counting(test, recording, *more):
         tested.append(recording.y[..., 0].size / recording.y.shape[-2] * (recording.y.shape[-2] - HORIZON))
-        return drive(test, recording, *more)
+        return as_stated(test, recording, *more)
 
-    drive = units.drive
-    monkeypatch.setattr(units, "drive", counting)
+    as_stated = units.as_stated
+    monkeypatch.setattr(units, "as_stated", counting)
     tries = len(units._tries(relations.model))
     assert units.unit_hints(result) == []
     assert tested[0] == tries * 8  # one more than 5 % of 140
@@ -163,3 +163,14 @@ def test_a_difference_of_columns_has_no_zero_that_a_unit_moves():
     lift = model.replace(columns={"lift": "= `supply` - `mixed`"})
     shifted = [[bool(way.shift) for way in units._conversions(m, (1,))] for m in (model, lift)]
     assert any(shifted[0]) and shifted[1] and not any(shifted[1])
+
+
+def test_a_conversion_that_only_the_wider_bounds_outside_explain_is_no_hint(rng):
+    """As percent the input is far outside of training, where bounds are four times as wide."""
+    model = jb.LinearSystem([[0]], [[1]], [[1]], noise=1, inputs=["u"], ranges={"u": (0, 0.01)})
+    relations = jb.parity_relations(model.replace(extrapolation=2), 1)
+    u = rng.uniform(0.002, 0.01, (80, 1))
+    result = jb.detect(relations, u, np.full((80, 1), 2.5))
+    assert result.counts["FAULT"] > 70
+    assert jb.detect(relations, 100 * u, np.full((80, 1), 2.5)).counts["FAULT"] == 0
+    assert units.unit_hints(result) == []

@@ -147,3 +147,12 @@ def test_draws_that_keep_averages_are_never_a_fault():
 @pytest.mark.long(by_day="test_draws_that_keep_averages_are_never_a_fault")
 def test_many_draws_that_keep_averages_are_never_a_fault():
     assert fault_free(range(30), 64, 60) > 100_000
+
+
+def test_the_bound_of_a_mean_that_follows_a_factor_refutes_nothing_that_it_allows():
+    """Errors of .12 that last: within .05 times a factor of 3."""
+    u, y = np.zeros((40, 1)), np.full((40, 1), 0.12)
+    constant = jb.LinearSystem([["0.5"]], [[1]], [[1]], noise="0.5", averages={"y1": {6: "0.05"}})
+    assert jb.detect(jb.observer(constant, method="joint", window=16), u, y).counts["FAULT"]
+    followed = constant.replace(times={"y1": "3 + u1"})
+    assert not jb.detect(jb.observer(followed, method="joint", window=16), u, y).counts["FAULT"]

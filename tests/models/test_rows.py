@@ -68,23 +68,29 @@ def test_with_lags_a_sum_is_looked_at_where_it_ends_at_a_sample_that_is():
     assert [rows.all[i].first for i in rows.seen if i < rows.readings] == [1, 1, 4, 4]
 
 
+@pytest.mark.parametrize("times", [{}, {"y1": "abs(u1)"}], ids=["constant", "followed"])
 @pytest.mark.parametrize("name", KINDS)
-def test_three_evaluators_give_a_sum_of_any_signals_its_limits(name, rng):
-    relations = jb.parity_relations(jb.LinearSystem(**PLANT), HORIZON)
+def test_three_evaluators_give_a_sum_of_any_signals_its_limits(name, times, rng):
+    relations = jb.parity_relations(jb.LinearSystem(**PLANT, times=times), HORIZON)
     reading = relations.reading(np.float64)
     rows = dataclasses.replace(reading.window, sums=(KINDS[name],))
     reading = dataclasses.replace(reading, window=rows, average=np.array([float(BOUND)]))
     u, y = rng.uniform(-1, 1, (HORIZON, 1, WINDOWS)), rng.uniform(10, 30, (HORIZON + 1, 2, WINDOWS))
+    factors = np.ones((HORIZON + 1, 2, WINDOWS))
+    if times:
+        factors[:, 0] = rng.uniform(0, 3, (HORIZON + 1, WINDOWS))
+        u = np.concatenate([rng.uniform(-1, 1, (HORIZON + 1, 1, WINDOWS)), factors[:, :1]], 1)
     y[1, 1, 0] = np.nan
     mid, rad, scale, *_ = jax.jit(lambda u, y: reading.block(u, y))(u, y)
     whole = HostRows(reading, u, y, model=relations.model)
     ends = whole.ends()
     plain = plain_model(relations.model) | {"averages": plain_sums([KINDS[name]], [BOUND])}
     for n in range(WINDOWS):
-        claim = claim_of(plain, plain_samples(np.append(u[..., n], [[0]], 0)), plain_samples(y[..., n]))
+        inputs, each = np.append(u[:HORIZON, :1, n], [[0]], 0), plain_samples(factors[..., n])
+        claim = claim_of(plain, plain_samples(inputs), plain_samples(y[..., n]), factors=each)
         exact = checker_limits(claim)
         for number, row in enumerate(rows.of_sums, rows.single):
-            wanted = limits(rows, row, y[..., n])
+            wanted = limits(rows, row, y[..., n], factors[..., n])
             if wanted is None:
                 assert whole.absent()[number, n] and np.isnan(mid[number, n])
                 assert f"average{number - rows.single}" not in exact
@@ -98,12 +104,14 @@ def test_three_evaluators_give_a_sum_of_any_signals_its_limits(name, rng):
             assert abs(Fraction(float(rad[number, n])) - (hi - lo) / 2) <= slip
 
 
-def limits(rows, row, y):
+def limits(rows, row, y, factors):
     """Return (lo, hi) of a sum from the definition, without the floor; None where a sample is missing."""
     ulps = 4 * Fraction(1, 2**53)
-    middle, rad = Fraction(0), BOUND
+    middle, rad = Fraction(0), Fraction(0)
     for i, weights in row.values.parts:
         for sample, weight in enumerate(weights, row.first):
+            factor = Fraction(factors[sample, i]) if row.values.measured else 1
+            rad += factor * BOUND * abs(weight) / row.values.size
             if not row.values.measured:
                 continue
             if np.isnan(y[sample, i]):
@@ -111,5 +119,6 @@ def limits(rows, row, y):
             # of a window without lags every sample counts
             largest = max(abs(Fraction(v)) for v in y[:, i] if not np.isnan(v))
             middle += weight * (Fraction(y[sample, i]) - OFFSET[i])
-            rad += abs(weight) * (RESOLUTION[i] + ulps * (largest + NOISE[i]))
+            noise = NOISE[i] * Fraction(factors[:, i].max())
+            rad += abs(weight) * (RESOLUTION[i] + ulps * (largest + noise))
     return middle - rad, middle + rad

@@ -7,6 +7,7 @@ import pytest
 
 import jaxbound as jb
 from jaxbound.models.modelfile import changed_text, model_text
+from jaxbound.models.operating_point import at_factors
 from jaxbound.recordings.factors import known
 from jaxbound.runs.ask import Ask
 from jaxbound.studies.tuning import tuning
@@ -52,7 +53,6 @@ def test_an_input_from_which_an_output_is_computed_stays_an_input():
         ({"times": {"T": "2"}}, "names no column"),
         ({"constant_tolerance": True}, "times and constant_tolerance do not go together"),
         ({"uncertainties": [jb.Uncertainty("a", A=[[0.1]])]}, "times and uncertainties do not go together"),
-        ({"averages": {"T": {4: 0.1}}}, "averages and times of 'T' do not go together"),
     ],
 )
 def test_what_does_not_go_together_is_refused(changes, sentence):
@@ -60,8 +60,14 @@ def test_what_does_not_go_together_is_refused(changes, sentence):
         plant(**changes)
 
 
-def test_averages_of_another_output_go_together_with_a_factor():
-    model = plant(averages={"S": {4: 0.05}})
+def test_a_mean_at_one_factor_is_times_that_factor():
+    model = plant(averages={"T": {4: 0.1}, "S": {4: 0.05}})
+    bounds = [one.bound for one in at_factors(model, dict.fromkeys(model.times, 3)).averages]
+    assert bounds == [model.averages[0].bound * 3, model.averages[1].bound]
+
+
+def test_averages_go_together_with_a_factor_of_the_same_output_and_of_another():
+    model = plant(averages={"T": {4: 0.1}, "S": {4: 0.05}})
     relations = jb.parity_relations(model, 6)
     rng = np.random.default_rng(1)
     u, y = rng.normal(size=(60, 1)), rng.normal(size=(60, 2))

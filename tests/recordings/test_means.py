@@ -296,6 +296,8 @@ def test_without_times_there_are_no_means(tmp_path, kind):
         jb.read(path, PLAIN)
     with pytest.raises(ValueError, match="every = '15min' needs the times of the samples"):
         jb.fit((np.ones((99, 1)), np.ones((99, 1))), recording={"every": "15min"})
+    with pytest.raises(ValueError, match=r"every is how .* recording=\{'every': '15min'\}"):
+        jb.fit((np.ones((99, 1)), np.ones((99, 1))), every="15min")
 
 
 def streamed(text, cuts, kill=False, model=MODEL):

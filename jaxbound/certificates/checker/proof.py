@@ -7,10 +7,11 @@ offsets; v any number, |theta| <= tolerance, w in its bounds, |delta| <= noise +
 sample is times its own.
 
 "averages" bound weighted sums of consecutive deltas of one output, or of one disturbance, in every run of
-samples that is looked at; one over several signals names the others "beside" the first. "first_state" bounds
-the state of the first sample, as one who gives it to an observer says; without it, it is any. A document with
-"constant" has one theta for all samples of an output: one gain 1 / (1 + theta). With uncertain parameters
-v_1, v_2, .., each varying one anew at each sample, A is A + sum v_i dA_i, and so B, C, D; |v_i| <= bound_i.
+samples that is looked at, times the mean of the factors there, by weight; one over several signals names the
+others "beside" the first. "first_state" bounds the state of the first sample, as one who gives it to an
+observer says; without it, it is any. A document with "constant" has one theta for all samples of an output:
+one gain 1 / (1 + theta). With uncertain parameters v_1, v_2, .., each varying one anew at each sample, A is
+A + sum v_i dA_i, and so B, C, D; |v_i| <= bound_i.
 
 FAULT: multipliers of a relation that holds for every trajectory and that the samples cannot keep; with
 uncertain parameters a tree of boxes (`boxes`). CONSISTENT: a trajectory within all bounds. Everything else

@@ -139,8 +139,7 @@ def limits(c: Document, error: Error = None) -> dict[str, Ends]:
     for k, (number, _) in enumerate(c.get("variables", [])):
         bound = c["uncertainties"][int(number)]["bound"]
         ends[f"p{k}"] = -bound, bound
-    every = c.get("factors") or [[F(1)] * len(rounded)] * len(c["y"])
-    for j, (row, factors) in enumerate(zip(c["y"], every, strict=True)):
+    for j, (row, factors) in enumerate(zip(c["y"], _factors_of(c), strict=True)):
         for i, y in enumerate(row):
             if y is not None:
                 noise = c["noise"][i] * (1 + c["recorder"]) * factors[i]
@@ -148,6 +147,11 @@ def limits(c: Document, error: Error = None) -> dict[str, Ends]:
     for j in range(len(c["y"]) - 1):
         ends |= named(f"w{j}_", [(lo - c["floor"], hi + c["floor"]) for lo, hi in c["disturbance"]])
     return ends | _ends_of_sums(c, rounded)
+
+
+def _factors_of(c: Document) -> Rows:
+    """Return the factors on the noise of each sample of each output."""
+    return c.get("factors") or [[F(1)] * len(c["noise"])] * len(c["y"])
 
 
 def _true_output(c: Document, i: int, y: F, delta: F) -> Ends:
@@ -180,19 +184,25 @@ def _ends_of_sums(c: Document, rounded: Sequence[F]) -> dict[str, Ends]:
     """Return {sum: (lo, hi)} of the weighted sums of true values over runs that are looked at and miss no
     reading.
 
-    The bound is one on the sum of noises. What resolution, recorder and an error add to each reading is added
-    by its weight; the floors are for numbers that a kernel rounds to zero on the way.
+    The bound is one on the sum of noises, times the mean of their factors, by weight. What resolution,
+    recorder and an error add to each reading is added by its weight; the floors are for numbers that a
+    kernel rounds to zero on the way.
     """
+    every = _factors_of(c)
+    most = [max(own) for own in zip(*every, strict=True)]
     ends = {}
     for number, (run, terms) in enumerate(zip(c.get("runs", []), runs_of(c), strict=True)):
         if not terms or None in readings_of(c, terms):
             continue
-        middle, rad = F(0), c["averages"][int(run["average"])]["bound"] + ROUNDED * len(terms) * c["floor"]
+        bound, size = c["averages"][int(run["average"])]["bound"], sum(abs(weight) for *_, weight in terms)
+        middle, rad = F(0), ROUNDED * len(terms) * c["floor"]
         for measured, j, i, weight in terms:
-            rad += ROUNDED * abs(weight) * c["floor"]
+            factor = F(1)
             if measured:
+                factor = every[j][i]
                 middle += weight * (c["all_y"][j][i] - c["offset_y"][i])
-                rad += abs(weight) * (rounded[i] + c["recorder"] * c["noise"][i])
+                rad += abs(weight) * (rounded[i] + c["recorder"] * c["noise"][i] * most[i])
+            rad += abs(weight) * (ROUNDED * c["floor"] + factor * bound / size)
         ends[f"average{number}"] = middle - rad, middle + rad
     return ends
 

@@ -25,6 +25,7 @@ from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification.advice import blind
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted
+from jaxbound.studies.identification.following import NOBODY_SAYS
 from jaxbound.studies.identification.orders import settled
 from jaxbound.studies.identification.recipe import AUTO, Recipe
 from jaxbound.studies.identification.search import Unwritten, fitted, unwritten
@@ -70,7 +71,8 @@ def fitted_bank(
         return unwritten(training, own, known, sentences, partial(in_part, report, begin, share))
 
     best = best_test(tests)
-    windows = fit_for(best, 0.25, 0.15, sentences)
+    unsaid = asked.follow == AUTO and not np.isfinite(best.left_out).any()
+    windows = fit_for(best, 0.25, 0.15, [*sentences, *([NOBODY_SAYS] * unsaid)])
     if asked.test == AUTO:
         alone = windows.written()
         report(1.0)
@@ -86,7 +88,7 @@ def fitted_bank(
     notes: list[str] = []
     if observer is not None:
         own = dataclasses.replace(plain, observer=observer, disturbances=asked.disturbances, see=asked.faults)
-        own = dataclasses.replace(own, method=best.method)
+        own = dataclasses.replace(own, method=best.method, follow=0)
         watched = unwritten(training, own, None, (), partial(in_part, report, 0.4, 0.3))
         try:
             tests.append(_judged(watched.written(), observer))
@@ -128,15 +130,14 @@ def fitted_bank(
 
 
 def _listing(check: FitCheck, tests: Sequence[JudgedTest], taken: Sequence[JudgedTest]) -> FitCheck:
-    """Return the check with the tests that were tried, one of each windows: that which is taken, else the
-    best.
-    """
-    shown: dict[WindowChoice, JudgedTest] = {}
+    """Return the check with the tests that were tried: of each windows those taken, else the best."""
+    best: dict[WindowChoice, JudgedTest] = {}
     for test in tests:  # in the order in which they were tried
-        shown[test.window] = best_test([test, shown.get(test.window, test)])
-    for test in taken:
-        shown[test.window] = test
-    return dataclasses.replace(check, tests=tuple(shown.values()))
+        best[test.window.constant] = best_test([test, best.get(test.window.constant, test)])
+    shown: list[JudgedTest] = []
+    for window, test in best.items():
+        shown += [one for one in taken if one.window.constant == window] or [test]
+    return dataclasses.replace(check, tests=tuple(shown))
 
 
 def _saying(check: FitCheck, *sentences: str) -> FitCheck:

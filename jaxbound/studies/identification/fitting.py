@@ -20,7 +20,7 @@ from jaxbound.models.arguments import table_argument, taking_fields
 from jaxbound.models.conversion import ModelLike
 from jaxbound.recordings.expressions import with_angles
 from jaxbound.recordings.means import every_step
-from jaxbound.recordings.recordingformat import Stated, with_format
+from jaxbound.recordings.recordingformat import RecordingFormat, Stated, with_format
 from jaxbound.sets.floats.kernel import sparing
 from jaxbound.sets.floats.probe import where_proofs_hold
 from jaxbound.studies.identification.adding import MOST, Widened, widen
@@ -145,6 +145,11 @@ def fit(
         return widen(add, recordings, MOST if most is None else most, progress)
     if most is not None:
         raise ValueError("most is for add: safety=1.5 makes bounds of a new model wider")
+    for field, value in fields.items():
+        if field in RecordingFormat.__dataclass_fields__:
+            raise ValueError(
+                f"{field} is how recordings are read, no way to fit: recording={{{field!r}: {value!r}}}"
+            )
     plan = recipe_of(recipe, fields)
     columns = table_argument("columns", columns, "{'Q': 'Heater 1'}")
     units = table_argument("units", units, "{'T': 'degC'}")
@@ -184,15 +189,17 @@ def _fitted(
         report = partial(in_part, report, 0.4, 0.6)
     # only now: the choice of signals may have dropped an input
     refuse_unseen(plan.faults, training.inputs, training.outputs)
-    why = hindrance(training) if plan.follow else ""
+    why, sentences = hindrance(training) if plan.follow else "", on_recordings(training, plan)
+    asked = plan
     if why and plan.follow != AUTO:
         raise ValueError(f"{why}: leave follow out")
-    sentences = on_recordings(training, plan)
+    if why:
+        asked, sentences = dataclasses.replace(plan, follow=0), [*sentences, f"{why}: they are constant"]
     can_choose = plan.is_open and left_out_parts(training.records, plan.held_out, WINDOWS[0].horizon + 1)
     if can_choose or plan.test is not None:
-        model = fitted_bank(training, plan, sentences, report)
+        model = fitted_bank(training, asked, sentences, report)
     else:
-        model = fitted(training, plan, sentences, report)
+        model = fitted(training, asked, sentences, report)
     widest = widest_of(training, model.check.used, model.horizon)
     check = dataclasses.replace(model.check, signals=signals, recipe=plan, widest=widest)
     return Fitted(model.replace(alarms=SHOWN), check)

@@ -19,6 +19,7 @@ import numpy as np
 
 from jaxbound.models.times import inputs_for_factors
 from jaxbound.recordings.factors import read_factor
+from jaxbound.studies.identification.recipe import AUTO
 from jaxbound.studies.identification.records import Records
 from jaxbound.studies.identification.training import Training
 
@@ -28,6 +29,10 @@ RIDGE = 1e-3
 """Added to the covariance of inputs in units of their spreads: of two that move together nobody knows what
 they do where they part, but not that infinitely much.
 """
+NOBODY_SAYS = (
+    "no recording says, left out, how strongly bounds have to follow the operating point: they are constant; "
+    "a weight does not ask, --recipe follow=0.1"
+)
 SMALL = 0.01
 """Coefficients that are left out, in units of the spread of an input."""
 
@@ -103,6 +108,13 @@ def hindrance(training: Training) -> str:
     if not _inputs(training):
         return "there is no input that bounds could follow, none that rests on no output"
     return ""
+
+
+def weights_of(follow: float | str) -> tuple[float, ...]:
+    """Return the weights that are tried beside 0. follow: as of a Recipe."""
+    if follow == AUTO:
+        return WEIGHTS
+    return (float(follow),) if follow else ()
 
 
 def _inputs(training: Training) -> tuple[str, ...]:

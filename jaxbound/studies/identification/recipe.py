@@ -46,8 +46,6 @@ APART = (
     ("lags", "observer", "lags is for windows: a fit for an observer looks at every sample"),
     ("average", "observer", "average is for windows: a fit for an observer looks at every sample"),
     *((name, "test", "test = {!r} chooses windows") for name in ("horizon", "lags", "average")),
-    ("follow", "test", "test = {!r} compares constant bounds"),
-    ("follow", "average", "bounds on means and bounds that follow the operating point do not go together"),
     ("follow", "disturbances", "follow widens bounds of sensors alone"),
     ("average", "disturbances", "average is for bounds of sensors alone"),
     ("delay", "direct", "direct inputs act at once"),
@@ -58,13 +56,19 @@ APART = (
 class WindowChoice(NamedTuple):
     """Windows of horizon + 1 samples, of which a test looks at all or at lags, with bounds on the mean of
     `average` errors in a row; None: without. observer: the name of one in place of windows, which looks at
-    all samples.
+    all samples. follow: how strongly bounds follow the operating point; 0: not at all.
     """
 
     horizon: int
     lags: tuple[int, ...] | None = None
     average: int | None = None
     observer: str | None = None
+    follow: float = 0.0
+
+    @property
+    def constant(self) -> "WindowChoice":
+        """The same windows, with bounds that do not follow."""
+        return self._replace(follow=0.0)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -80,11 +84,14 @@ class WindowChoice(NamedTuple):
         """The words for a reader."""
         if self.observer is not None:
             return f"observer {self.observer}"
+        text = f"{self.horizon + 1} samples"
         if self.lags is not None:
-            return f"{len(self.lags)} of {self.horizon + 1} samples"
+            text = f"{len(self.lags)} of {text}"
         if self.average is not None:
-            return f"means of {self.average} in {self.horizon + 1} samples"
-        return f"{self.horizon + 1} samples"
+            text = f"means of {self.average} in {text}"
+        if self.follow:
+            text = f"{text} (follow {self.follow:g})"
+        return text
 
 
 @readable
@@ -112,15 +119,16 @@ class Recipe:
             see clearly smaller jumps, lasting errors or ramps than the others: the model states them as its
             `tests`, each with coefficients and bounds of its own, and `jb.monitor` is all of them; `observer`
             or `disturbances` has a set observer ("joint" if none is named) tried beside them. None: as
-            horizon, lags and average say, or the observer; where these and follow are left out, "bank", or
-            windows of 16 samples where nothing can be left out to choose by.
+            horizon, lags and average say, or the observer; where these are left out, "bank", or windows of
+            16 samples where nothing can be left out to choose by.
         observer: the method of a set observer ("zonotope", "joint", ..), see `jb.observer`: the bounds are
             those at which it follows every recording, instead of those of windows; horizon is then that of
             the windows which `method` looks at. Not with lags or average.
         disturbances: "auto": process noise and offsets that drift get bounds beside the noise of the sensors,
             those of a trajectory that explains each recording from start to end, so that they hold for
             windows and observers alike; which of them, by the smallest fault that is then seen in the longest
-            recording. Not with average, follow or test="auto". None: none.
+            recording. Not with average or test="auto", nor with follow but for a bank, whose windows follow
+            then. None: none.
         see: a bias or a drift of a signal, or several, of the size that is wanted: disturbances are chosen
             for these, and bounds are as much wider than `safety` as these still allow. Biases of two outputs
             or more: bounds of these sensors are in the ratio of these sizes, not of the residuals, without
@@ -128,7 +136,8 @@ class Recipe:
         follow: how strongly bounds grow with the distance of the inputs from their training: a weight, which
             writes `times`, an expression of the inputs, to the bounds of all outputs; "auto": .1, .3 or 0,
             whichever sees the smallest errors at the bounds that recordings which are left out ask for. 0:
-            bounds are constant. Not with average or every.
+            bounds are constant. Where tests are chosen each follows by its own weight or not at all. Bounds
+            of means follow, too. Not with every.
         signals: "auto": inputs are chosen, too: one is dropped, or a square or a product of two joins them,
             wherever clearly smaller errors are then seen at the bounds that recordings which are left out ask
             for; `.check.signals` has all that were tried. A product is an input whose column is an
@@ -185,7 +194,7 @@ class Recipe:
     def is_open(self) -> bool:
         """Whether nothing says what is tested."""
         chosen = self.test, self.horizon, self.lags, self.average, self.observer
-        return chosen == (None,) * len(chosen) and not self.follow and self.order != 0
+        return chosen == (None,) * len(chosen) and self.order != 0
 
     @property
     def faults(self) -> tuple[Fault, ...]:
@@ -197,7 +206,8 @@ class Recipe:
     def of(self, window: WindowChoice, method: str) -> "Recipe":
         """Return the recipe of a test of windows, and of one of KINDS."""
         about: dict[str, Any] = {"horizon": None, "lags": None} | window.about
-        return dataclasses.replace(self, test=None, average=window.average, method=method, **about)
+        about |= {"average": window.average, "follow": window.follow}
+        return dataclasses.replace(self, test=None, method=method, **about)
 
 
 def recipe_of(recipe: object, fields: Mapping[str, Any]) -> Recipe:
@@ -271,6 +281,8 @@ def _refuse_together(recipe: Recipe) -> None:
     usual = Recipe()
     names = Recipe.__dataclass_fields__
     given = {name for name in names if getattr(recipe, name) != getattr(usual, name)}
+    if recipe.is_open or recipe.test == BANK:  # its windows may follow beside an observer with disturbances
+        given.discard("follow")
     for one, other, why in APART:
         if {one, other} <= given:
             raise ValueError(f"{why.format(getattr(recipe, other))}: leave {one} out, or {other}")

@@ -19,7 +19,7 @@ from jaxbound.studies.identification.candidates import FitProblem
 from jaxbound.studies.identification.closed_loop import closed_loops
 from jaxbound.studies.identification.disturbances import chosen_disturbances
 from jaxbound.studies.identification.fit_result import FitCheck, Fitted, PartLeftOut, Tradeoff
-from jaxbound.studies.identification.following import WEIGHTS, hindrance
+from jaxbound.studies.identification.following import NOBODY_SAYS, weights_of
 from jaxbound.studies.identification.gauge import GaugeJudge
 from jaxbound.studies.identification.judging import ObserverJudge, WindowJudge, explains
 from jaxbound.studies.identification.means import smallest_means
@@ -153,17 +153,12 @@ def _best(problem: FitProblem, step: Callable[[float], object]) -> tuple[Trial, 
     best = min(trials, key=attrgetter("blindness"))  # the first one of equals
     if not follow:
         return best, []
-    why = hindrance(problem.training)
-    if follow == AUTO and not why and not any(np.isfinite(one.factor) for one in best.left):
-        why = "no recording says, left out, how strongly bounds have to follow the operating point"
-    if why:
-        again = "they are constant; a weight does not ask, --recipe follow=0.1"
-        return best, [f"{why}: {again}"]
+    if follow == AUTO and not np.isfinite(best.own).any():
+        return best, [NOBODY_SAYS]
+    following = [tried(problem, best.candidate.kind, weight) for weight in weights_of(follow)]
     if follow != AUTO:
-        return tried(problem, best.candidate.kind, float(follow)), []
-    return min(
-        [best, *(tried(problem, best.candidate.kind, x) for x in WEIGHTS)], key=attrgetter("blindness")
-    ), []
+        return following[0], []
+    return min([best, *following], key=attrgetter("blindness")), []
 
 
 def _with_means(problem: FitProblem, trial: Trial, step: Callable[[float], object]) -> Trial:

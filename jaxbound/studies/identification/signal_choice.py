@@ -6,6 +6,12 @@ that the errors of one step ask for most; each set is judged as `window_tests` a
 that are seen at the factor that recordings which are left out ask for, of coefficients that are fitted one
 step ahead. A change is taken where these errors become clearly smaller, until none is.
 
+Coefficients are those of one step ahead whichever `method` the model is fitted by in the end. Compared by
+"windows", which fit a missing product away on the days that they have, sets with products look no better:
+none was taken for an air handler, whose leak was then seen in .08 of the windows instead of in all, and two
+tanks had more false alarms on unseen days. Compared by "auto", 25 of 26 simulated fits chose the same, for
+three times the work.
+
 A product is an input whose column is an expression, so it is computed from the recording as it was written,
 before any mean is taken.
 """

@@ -3,7 +3,9 @@ errors that it then sees.
 
 Short windows see jumps, long ones lasting errors; means pay where errors average out and a window is some
 times as long; lags remember as long with fewer samples. Each needs bounds of its own. Tests of windows that
-are as long share their fits; floats (`gauge`) choose, and the test that is taken is proved afterwards.
+are as long share their fits; floats (`gauge`) choose, and the test that is taken is proved afterwards. Where
+bounds may follow the operating point, all are tried so, too, by the coefficients that see most under constant
+bounds.
 """
 
 import math
@@ -18,9 +20,10 @@ import numpy as np
 from jaxbound.diagnosis.memory import spread_lags
 from jaxbound.models.average import Average
 from jaxbound.studies.identification.candidates import FitProblem
+from jaxbound.studies.identification.following import weights_of
 from jaxbound.studies.identification.gauge import GaugeJudge, gauge_of, seen_slopes
 from jaxbound.studies.identification.means import LOOSE, lowered
-from jaxbound.studies.identification.recipe import Recipe, WindowChoice
+from jaxbound.studies.identification.recipe import AUTO, Recipe, WindowChoice
 from jaxbound.studies.identification.records import left_out_parts
 from jaxbound.studies.identification.regression import complete_windows, completeness, reached
 from jaxbound.studies.identification.training import Training
@@ -67,6 +70,7 @@ class JudgedTest(NamedTuple):
     one number, see `blindness`. ramp: {output: size} that a ramp has after RAMP samples, likewise.
     In floats, not proved, and of complete windows alone. reach: the share of the samples at which windows
     have a verdict; 0: it does not count. left_out: the factor that each recording, or block, asks for.
+    typical: the share of these sizes that is seen where bounds that follow are as wide as on average.
     """
 
     window: WindowChoice
@@ -80,12 +84,13 @@ class JudgedTest(NamedTuple):
     ramp: Mapping[str, float] = {}
     reach: float = 0.0
     left_out: tuple[float, ...] = ()
+    typical: float = 1.0
 
     @property
     def sizes(self) -> dict[tuple[str, str], float]:
-        """{(kind, output): size} of the errors that are seen."""
+        """{(kind, output): size} of the errors that are seen, on average."""
         kinds = {"jump": self.jump, "steady": self.steady, "ramp": self.ramp}
-        return {(kind, name): x for kind, sizes in kinds.items() for name, x in sizes.items()}
+        return {(kind, name): self.typical * x for kind, own in kinds.items() for name, x in own.items()}
 
     def times(self, wider: float) -> "JudgedTest":
         """Return the test under bounds so many times as wide."""
@@ -172,8 +177,15 @@ def tried_tests(training: Training, recipe: Recipe, step: Callable[[float], obje
             problems[horizon] = FitProblem.of(training, own, GaugeJudge())
         problem = problems[horizon].under(GaugeJudge(), own)
         try:
+            constant = len(tests)
             for kind in kinds:
                 tests += _judged(problem, kind)
+            best = min(tests[constant:], key=attrgetter("blindness"), default=None)
+            # without a part that is left out nobody says how strongly bounds follow
+            if best is not None and (recipe.follow != AUTO or np.isfinite(best.trial.own).any()):
+                for weight in weights_of(recipe.follow):
+                    own = recipe.of(window._replace(follow=weight), AUTO)
+                    tests += _judged(problem.under(GaugeJudge(), own), best.judged.method)
         except ValueError as e:  # too few samples for windows that are so long
             refusal = refusal or e
         step((number + 1) / len(WINDOWS))
@@ -186,7 +198,8 @@ def tried_tests(training: Training, recipe: Recipe, step: Callable[[float], obje
 
 def _judged(problem: FitProblem, kind: str) -> list[TriedTest]:
     """Return the TriedTest of one of KINDS; none where no error averages out."""
-    recipe, training, trial = problem.recipe, problem.training, tried(problem, kind)
+    recipe, training = problem.recipe, problem.training
+    trial = tried(problem, kind, float(recipe.follow))
     if recipe.average is not None:
         means = searched_means(problem, trial)
         trial = replace(trial, average=recipe.average, means=means)
@@ -196,10 +209,11 @@ def _judged(problem: FitProblem, kind: str) -> list[TriedTest]:
     factor, safety = trial.factor, recipe.safety
     wider = {name: {n: factor * x for n, x in own.items()} for name, own in trial.averages.items()}
     model = trial.candidate.model(factor * trial.bound).replace(averages=wider)
-    jump, steady = problem.sizes(model, safety)
-    ramp = {name: RAMP * safety * x for name, x in seen_slopes(model, training.scales).items()}
+    wide = safety * trial.follows.most
+    jump, steady = problem.sizes(model, wide)
+    ramp = {name: RAMP * wide * x for name, x in seen_slopes(model, training.scales).items()}
     judged = JudgedTest(
-        recipe.window,
+        recipe.window._replace(follow=float(recipe.follow)),
         kind,
         factor,
         dict(zip(model.outputs, trial.bound.tolist(), strict=True)),
@@ -210,6 +224,7 @@ def _judged(problem: FitProblem, kind: str) -> list[TriedTest]:
         ramp,
         reached(training.records, recipe.window.horizon),
         trial.own,
+        trial.follows.mean / trial.follows.most,
     )
     judged = judged._replace(blindness=blindness(judged.sizes, training.span_of))
     return [TriedTest(judged, trial, completeness(training.records, recipe.window.horizon) == 1)]

@@ -9,6 +9,7 @@ from jaxbound.models.testmodels import model_of
 from jaxbound.studies.identification import bank, disturbances, window_tests
 from jaxbound.studies.identification.bank import earned
 from jaxbound.studies.identification.bounds import rounded_up
+from jaxbound.studies.identification.following import WEIGHTS
 from jaxbound.studies.identification.trial import factor_of, largest_of
 from jaxbound.studies.identification.window_tests import JudgedTest, WindowChoice
 
@@ -142,6 +143,52 @@ def test_an_observer_is_tried_beside_the_windows_with_disturbances_of_its_own(re
     assert jb.detect(jb.monitor(model), *recordings[0]).counts["FAULT"] == 0
 
 
+@pytest.fixture(scope="module")
+def jittering():
+    """Return two recordings of a slow plant whose samples are taken late or early, by half a period at most:
+    its sensor errs by as much as the plant moves then, which an input drives.
+    """
+    made = []
+    for number in range(2):
+        rng = np.random.default_rng(number)
+        u, x = np.repeat(rng.uniform(-1, 1, (15, 1)) ** 3, 6, 0), np.zeros((90, 1))
+        for k in range(89):
+            x[k + 1] = 0.97 * x[k] + u[k]
+        moves = u - 0.03 * x
+        made.append((u, x + 0.5 * rng.uniform(-1, 1, x.shape) * moves + rng.uniform(-0.01, 0.01, x.shape)))
+    return made
+
+
+def test_tests_whose_bounds_follow_compete_with_constant_ones(jittering, monkeypatch, tmp_path):
+    windows = WindowChoice(3), WindowChoice(5, average=3), WindowChoice(5)
+    monkeypatch.setattr(window_tests, "WINDOWS", windows)
+    monkeypatch.setattr(bank, "GAIN", 2.0)  # whatever is not worse as a whole joins
+    model = jb.fit(jittering, order=1, method="least squares", test="bank", follow="auto")
+    shown = [test.window for test in model.check.tests]
+    assert {window.constant for window in shown} == set(windows)
+    assert {window.follow for window in shown} <= {0, *WEIGHTS}
+    jb.save_model(model, tmp_path / "plant.toml")
+    loaded = jb.load_model(tmp_path / "plant.toml")
+    own = {test.name: model_of(loaded, test) for test in loaded.tests}
+    assert any(one.times and one.averages for one in own.values())
+    for name, one in own.items():
+        assert bool(one.times) == ("(follow " in name)
+        assert one.left_out == model.left_out  # one factor for all
+    assert factor_of([one.factor for one in model.check.left_out], 2) == model.check.factor
+    for u, y in jittering:
+        assert jb.detect(tmp_path / "plant.toml", u, y).counts["FAULT"] == 0
+
+
+def test_where_nothing_is_left_out_bounds_of_a_bank_do_not_follow_unless_by_a_weight(jittering, monkeypatch):
+    monkeypatch.setattr(window_tests, "WINDOWS", (WindowChoice(7),))
+    options = dict(order=1, method="least squares", test="bank", held_out=0)
+    model = jb.fit(jittering, follow="auto", **options)
+    assert not model.times
+    assert "no recording says, left out, how strongly" in " ".join(model.check.sentences)
+    (by_weight,) = jb.fit(jittering, follow=0.2, **options).check.tests
+    assert by_weight.window.follow == 0.2
+
+
 @pytest.mark.parametrize("options, horizon", [({"held_out": 0}, 15), ({"horizon": 6}, 6)])
 def test_windows_are_those_of_one_test_where_they_are_given_or_nothing_can_choose(
     recordings, options, horizon
@@ -175,7 +222,6 @@ def test_a_bank_of_one_test_is_its_windows(recordings, monkeypatch):
     "more, words",
     [
         ({"horizon": 20}, "chooses windows: leave horizon out"),
-        ({"follow": "auto"}, "compares constant bounds: leave follow out"),
         ({"order": 0}, "a static model"),
         ({"disturbances": "auto", "see": jb.Fault("z", "bias", 1)}, "no signal 'z'"),
     ],

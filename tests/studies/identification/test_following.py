@@ -60,7 +60,6 @@ def test_errors_are_stated_as_seen_under_the_widest_bounds_of_training(rng):
     [
         ({"follow": -0.1}, "follow must be a number >= 0, or auto, not -0.1"),
         ({"follow": "much"}, "follow must be a number >= 0, or auto, not 'much'"),
-        ({"follow": 0.1, "order": 1, "horizon": 5, "average": 4}, "do not go together: leave follow out"),
     ],
 )
 def test_what_cannot_follow_is_refused(rng, options, sentence):
@@ -71,15 +70,12 @@ def test_what_cannot_follow_is_refused(rng, options, sentence):
 def test_inputs_in_which_an_output_is_recorded_are_not_followed(rng):
     u, y = curved_day(rng, 0.0, 0.5)
     table = pd.DataFrame({"a": u[:, 0], "b": y[:, 0]})
+    about = dict(order=0, inputs="load", outputs="flow", columns={"load": "= a + b", "flow": "b"})
     with pytest.raises(ValueError, match="no input that bounds could follow, none that rests on no output"):
-        jb.fit(
-            table,
-            order=0,
-            inputs="load",
-            outputs="flow",
-            columns={"load": "= a + b", "flow": "b"},
-            follow=0.1,
-        )
+        jb.fit(table, follow=0.1, **about)
+    model = jb.fit(table, follow="auto", **about)
+    assert not model.times and model.check.recipe.follow == "auto"
+    assert any("none that rests on no output: they are constant" in x for x in model.check.sentences)
 
 
 def test_auto_says_why_bounds_stay_constant(rng):

@@ -95,6 +95,26 @@ def test_the_largest_factor_is_that_of_a_linear_program(window, mean, rng):
     np.testing.assert_allclose(each[counted], factors, rtol=1e-7)
 
 
+@pytest.mark.parametrize(
+    "about",
+    [dict(horizon=7, averages={"y1": {3: 0.05}, "y2": {3: 0.07}}), dict(lags=[0, 1, 3, 7])],
+    ids=["means", "lags"],
+)
+def test_bounds_that_follow_count_as_wide_as_they_are_at_each_sample(about, rng):
+    from jaxbound.studies.identification.judging import WindowJudge
+
+    model = jb.LinearSystem(A, B, C, D, noise=NOISE.tolist(), offset=OFFSET, resolution=[0.02, 0], **about)
+    model = model.replace(times={"y1": "0.5 + abs(u1)"})
+    part = (rng.normal(size=(40, 1)), rng.normal(size=(40, 2)), np.array([15]))
+    (proved,) = WindowJudge().needs(model, [part])
+    (each,) = GaugeJudge(every=True).needs(model, [part])
+    np.testing.assert_allclose(each, proved, rtol=1e-6)
+    (largest,) = GaugeJudge().needs(model, [part])
+    assert np.nanmax(largest) == pytest.approx(np.nanmax(proved), rel=1e-6)
+    assert (largest <= proved * (1 + 1e-9))[np.isfinite(proved)].all()
+    assert np.isnan(proved).sum() == 14
+
+
 def test_sizes_are_those_of_the_proved_test(rng):
     from jaxbound.studies.identification.judging import WindowJudge
     from jaxbound.studies.identification.regression import Scales

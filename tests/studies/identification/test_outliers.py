@@ -130,7 +130,7 @@ def test_means_that_a_number_spoils_are_named():
     tables = [table(1), table(2)]
     for one in tables:
         one.iloc[AT, 1] = -999.0
-    every = {"columns": {"T": "T out"}, "every": "5min"}
+    every = {"columns": {"T": "T out"}, "recording": {"every": "5min"}}
     with pytest.raises(ValueError, match="T is .* in 4 of 160 samples") as refused:
         fitted(tables, **every)
     leaving = re.findall('"([^"]+)"', str(refused.value))[0]
