@@ -64,14 +64,11 @@ class Cells(NamedTuple):
 
     @property
     def repeated(self) -> np.ndarray:
-        """(N - 1,) bool: whether each row but the first holds what the row before it does."""
+        """(N - 1,) bool: whether each row but the first holds the numbers and texts of the row before it."""
         same = np.ones(max(self.rows - 1, 0), bool)
         for x in self.columns.values():
             missing = x != x  # NaN; a text is what it is
             same &= (x[1:] == x[:-1]) | (missing[1:] & missing[:-1])
-        for cells in self.odd.values():  # words are not compared
-            same[np.maximum(cells.rows - 1, 0)] = False
-            same[np.minimum(cells.rows, len(same) - 1)] = False
         return same
 
     def kept(self, rows: np.ndarray) -> "Cells":
@@ -356,18 +353,25 @@ class LineReader:
 
     def trouble(self, line: bytes) -> str:
         """Return the trouble with a line, as far as its cells show; or ""."""
-        if self.layout.is_open(line):
-            return UNCLOSED
-        if self.layout.is_blank(line):
-            return BLANK
-        cells = self.layout.cells(line)
-        if len(cells) != len(self.layout.names):
-            return f"has {len(cells)} cells, the header has {len(self.layout.names)} columns"
+        trouble, cells = self._trouble_of_form(line), self.layout.cells(line)
+        if trouble:
+            return trouble
         for name, i in self.index.items():
             cell = cells[i].strip()
             is_read = name in self.texts or cell in MISSING_CELLS or is_number(cell, self.layout.decimal)
             if not is_read:
                 return no_number("", name, cell).strip()
+        return ""
+
+    def _trouble_of_form(self, line: bytes) -> str:
+        """Return why a line is no row, whatever its cells hold; or ""."""
+        if self.layout.is_open(line):
+            return UNCLOSED
+        if self.layout.is_blank(line):
+            return BLANK
+        cells, names = self.layout.cells(line), self.layout.names
+        if len(cells) != len(names):
+            return f"has {len(cells)} cells, the header has {len(names)} columns"
         return ""
 
     def refuse(self, cells: Cells, excluded: np.ndarray | None, row: Callable[[int], str]) -> None:
@@ -608,9 +612,9 @@ class LineReader:
             raise ValueError(f"row {between[0]} {BLANK}")
 
     def trouble_in(self, opened: Opened) -> str:
-        """Return a sentence on the first row that is none, or has a cell that is no number."""
+        """Return a sentence on the first line that is no row."""
         for number, line in self._numbered(opened):
-            trouble = self.trouble(line)
+            trouble = self._trouble_of_form(line)
             if trouble and trouble != BLANK:
                 return f"row {number} {trouble}"
         return "the file cannot be read"
