@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow
-from jaxbound.recordings.csvlines import CountedLines, line_ends, lines_of
+from jaxbound.recordings.csvlines import CountedLines, let_go, line_ends, lines_of
 from jaxbound.recordings.csvtext import (
     BLANK,
     BLANK_CELLS,
@@ -502,11 +502,12 @@ class LineReader:
             column_names=names, skip_rows=self.layout.skip, encoding=self.layout.encoding, block_size=size
         )
         with opened() as file:
-            lines = CountedLines(file, self.layout.delimiter)
-            try:
-                table = pc.read_csv(lines, read, self._parsing(), self._converting(decimal))
-            except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError):
-                table = None
+            lines, parsing = CountedLines(file, self.layout.delimiter), self._parsing()
+            with let_go(lines):
+                try:
+                    table = pc.read_csv(lines, read, parsing, self._converting(decimal))
+                except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError):
+                    table = None
         if lines.unended and (table is not None or lines.lines <= self.layout.skip):
             self._note_unended(lines.lines + 1)
         if table is None:
