@@ -1,8 +1,8 @@
 """Windows outside the region of training, under the wider bounds that they have there.
 
-All bounds of such a window are `extrapolation` times as wide as the model states them, and by a quarter, a
-half or as much again, the farther outside its inputs lie (`region.GRADES`). The window is judged by the same
-test under these bounds: what is said of it is proved of them, as inside.
+All bounds of such a window are `extrapolation` times as wide as the model states them, by its square and its
+cube the farther outside the inputs lie (`region.GRADES`). The window is judged by the same test under these
+bounds: what is said of it is proved of them, as inside.
 
 An observer carries one set from sample to sample: no window of it has bounds that could be wider, and its
 verdicts are those of the bounds as stated.
@@ -30,7 +30,7 @@ class Extrapolated:
     made: dict[int, Relations] = field(default_factory=dict, repr=False)
 
     def relations(self, grade: int) -> Relations:
-        """Return the relations under the bounds of one of GRADES."""
+        """Return the relations under the bounds beyond so many of GRADES."""
         if grade not in self.made:
             self.made[grade] = self.inside.with_bounds(_wider(self.inside, grade))
         return self.made[grade]
@@ -61,7 +61,7 @@ class OutsideTest:
         self._made: dict[int, WindowTest] = {}
 
     def test(self, grade: int) -> WindowTest:
-        """Return the test under the bounds of one of GRADES."""
+        """Return the test under the bounds beyond so many of GRADES."""
         if grade not in self._made:
             other = self._inside.under(self.beyond.relations(grade))
             self._made[grade] = other.measured() if self._inside.margins_are == EXACT else other
@@ -78,7 +78,7 @@ def outside_test(test: WindowTest) -> OutsideTest | None:
 
 
 def _wider(relations: Relations, grade: int) -> dict[str, np.ndarray]:
-    """Return the bounds in one of GRADES. Ranges of uncertain parameters stay as they are."""
+    """Return the bounds beyond so many of GRADES. Ranges of uncertain parameters stay as they are."""
     model = cast(LinearSystem, relations.model)
     factor = factors_outside(model)[grade]
     # of relations, not of the model: `tune` may have moved them

@@ -20,9 +20,9 @@ from jaxbound.models.window import input_lags
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.text.objects import readable
 
-GRADES = Fraction(1, 4), Fraction(1, 2), Fraction(1)
-"""Widths of its range that an input lies outside, at most: bounds grow by this share, and by no more than the
-last. An air handler of two days needed three times its bounds on a third, at .4 widths, and no more at .1.
+GRADES = 0.25, 0.5
+"""Widths of its range that an input lies outside, from which on bounds are wider by one more power of the
+factor. An air handler of two days needed three times its bounds on a third, at .4 widths, and no more at .1.
 """
 ROUNDED = 1e-6
 """Share of a range that is no excess: computed signals and narrower floats round."""
@@ -75,7 +75,7 @@ class Departure(NamedTuple):
 
     @property
     def grade(self) -> np.ndarray:
-        """(..., T): the number of that of GRADES in which a window lies, -1 inside."""
+        """(..., T): how many of GRADES a window lies beyond, -1 inside."""
         return np.where(self.share > 0, _grade(self.share), -1)
 
     def words(self, at: int, test: str = "") -> str:
@@ -183,7 +183,7 @@ class Region:
         if most == 1:
             return ""
         at_most = "up to " * (len(factors) > 1)
-        most *= 1 + float(GRADES[_grade(share)])
+        most **= 1 + int(_grade(share))
         return f", where bounds are {at_most}{most:.3g} times as wide"
 
     @cached_property
@@ -214,11 +214,13 @@ class Region:
 
 
 def factors_outside(model: LinearSystem) -> tuple[Fraction, ...]:
-    """Return how many times as wide the bounds of a model are in each of GRADES; none: as inside."""
+    """Return how many times as wide the bounds of a model are before the first of GRADES and beyond each;
+    none: as inside.
+    """
     least = model.extrapolation or 1
     if least == 1:
         return ()
-    return tuple(least * (1 + grade) for grade in GRADES)
+    return tuple(least**power for power in range(1, len(GRADES) + 2))
 
 
 def text_outside(model: LinearSystem) -> str:
@@ -226,7 +228,7 @@ def text_outside(model: LinearSystem) -> str:
 
     Example:
         >>> text_outside(LinearSystem([[0.5]], [[1]], [[1]], extrapolation=1.2))
-        '1.2 times as wide, and more the farther outside, up to 2.4 times'
+        '1.2 times as wide, and more the farther outside, up to 1.728 times'
     """
     first, *_, last = map(float, (model.extrapolation or 1, *factors_outside(model)))
     text = f"{first:.6g} times as wide"
@@ -236,8 +238,8 @@ def text_outside(model: LinearSystem) -> str:
 
 
 def _grade(share: np.ndarray | float) -> np.ndarray:
-    """Return the number of that of GRADES in which excesses in widths lie."""
-    return np.searchsorted(np.array(GRADES[:-1], float), share)
+    """Return how many of GRADES excesses in widths lie beyond."""
+    return np.searchsorted(np.array(GRADES), share)
 
 
 def _wider(test: Reach) -> float:

@@ -126,8 +126,8 @@ class LinearSystem:
         left_out: how many times as wide as the smallest bounds those for a recording that was left out of the
             fit have to be, >= 1: `jb.fit` finds it, `jb.tune` keeps it. None: not known.
         extrapolation: how many times as wide as stated all bounds are for windows that read inputs outside
-            their `ranges`, >= 1: `jb.fit` finds it; up to twice that the farther outside. None, 1: as wide as
-            stated.
+            their `ranges`, >= 1: `jb.fit` finds it; by its square and cube the farther outside. None, 1: as
+            wide as stated.
         uncertainties: a sequence of `Uncertainty`: bounded parameters that change A, B, C, D. The given
             matrices are those at the value 0 of every parameter; .A, .B, .C, .D are kept at the middle of
             their bounds.

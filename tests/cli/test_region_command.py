@@ -250,4 +250,4 @@ def test_fit_writes_where_each_input_was(place, capsys):
     lit = jb.detect(relations, table.assign(lamp=2.5))
     assert (
         lit.outside[relations.horizon :] == np.inf
-    ).all() and lit.beyond.words == "lamp at 2.5, training always at 2, where bounds are 3 times as wide"
+    ).all() and lit.beyond.words == "lamp at 2.5, training always at 2, where bounds are 3.38 times as wide"

@@ -1,11 +1,11 @@
 """How much wider bounds have to be outside of training, by recordings that are left out.
 
 A recording that is left out moves its inputs beyond the others. The largest need of its windows there, over
-the largest of those within the ranges of the others, is what extrapolation costs on that day; bounds of 1
-hold whatever the days ask for, and what bounds grow the farther outside a window lies is taken off before. Of
-several days the geometric mean counts, as of the factor on all bounds: a day that is unlike the others is so
-inside, too. Few days say little of it: what two of them told of a third was 1.0 where it needed 1.5 (an air
-handler), or six (a plant that is not linear).
+the largest of those within the ranges of the others, is what extrapolation costs on that day, the root of it
+where bounds have a higher power of the factor; bounds of 1 hold whatever the days ask for. Of several days
+the geometric mean counts, as of the factor on all bounds: a day that is unlike the others is so inside, too.
+Few days say little of it: what two of them told of a third was 1.0 where it needed 1.5 (an air handler), or
+six (a plant that is not linear).
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxbound.models.region import GRADES, Region
+from jaxbound.models.region import Region
 from jaxbound.models.system import LinearSystem
 from jaxbound.studies.identification.training import Training
 from jaxbound.studies.identification.trial import Trial, few_days
@@ -53,7 +53,6 @@ def extrapolation(trial: Trial, training: Training) -> Extrapolation | None:
         trial: of windows. An observer rests on all samples before, which lie on both sides.
     """
     logs, windows, records = [], 0, training.records
-    growth = 1 + np.array(GRADES, float)  # how much wider bounds are the farther outside, whatever is found
     if not trial.left:
         return None
     left = trial.left
@@ -70,8 +69,8 @@ def extrapolation(trial: Trial, training: Training) -> Extrapolation | None:
         grade = region.departure(u, ~known).grade
         out = grade >= 0
         if out.any() and (known & ~out).any():
-            inside, outside = one.need[known & ~out].max(), (one.need[out] / growth[grade[out]]).max()
-            logs.append(math.log(max(outside, 1.0) / max(inside, 1.0)))
+            needs = np.maximum(one.need[out] / max(one.need[known & ~out].max(), 1.0), 1.0)
+            logs.append(float((np.log(needs) / (1 + grade[out])).max()))
             windows += int(out.sum())
     few = few_days(len(records), FEW_DAYS_OUTSIDE)
     factor = few * math.exp(sum(logs) / max(len(logs), 1))

@@ -29,7 +29,7 @@ def days(rng, square, levels=(0.0, 0.5, 1.0)):
 def test_a_plant_that_is_another_one_there_asks_for_wider_bounds_and_a_linear_one_does_not(rng):
     bent, straight = (jb.fit(days(rng, square), **RECIPE) for square in (1.0, 0.0))
     few = few_days(3, FEW_DAYS_OUTSIDE)
-    assert bent.extrapolation > 1.1 * few > 1.02 * few > straight.extrapolation >= few
+    assert bent.extrapolation > 1.1 * few > straight.extrapolation >= few
     assert bent.provenance["extrapolation"].startswith("fitted: needs of ")
     assert "outside the ranges of the others" in bent.provenance["extrapolation"]
 
@@ -56,7 +56,7 @@ def test_the_factor_is_the_need_outside_over_that_inside(rng):
     trial = SimpleNamespace(left=left, bound=np.ones(1))
     records = [(u, u, np.zeros(0, int)), (-u, u, np.zeros(0, int))]
     found = extrapolation(trial, Training(None, ("u1",), ("y1",), 1.0, records, {}))
-    # 12 over 1.5 where bounds are twice as wide anyhow, and 1 over 2
+    # the cube root of 12 over 1.5, and 1 over 2
     assert found.factor == pytest.approx(FEW_DAYS_OUTSIDE * 2**0.5)
     assert (found.windows, found.recordings) == (2, 2)
     for one in left:
