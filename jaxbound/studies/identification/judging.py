@@ -156,8 +156,8 @@ def explains(relations: Windows, parts: Records) -> bool:
 
 
 def _tested(relations: Windows, parts: Records) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return (status, need) of each recording, (T,) each; a window that lacks an input and is UNDECIDED counts
-    as MISSING.
+    """Return (status, need) of each recording, (T,) each; a window that lacks an input and is UNDECIDED is
+    MISSING.
     """
     verdicts = []
     few = is_outside_xla() or relations.searched and sum(len(y) for _, y, _ in parts) < FEW
@@ -169,7 +169,7 @@ def _tested(relations: Windows, parts: Records) -> list[tuple[np.ndarray, np.nda
             result = detect(relations, _inputs(u), y, starts=starts, margins="exact")
         # an input that is missing may leave a window open however wide its bounds are
         lacks = np.zeros(len(y), bool)
-        lacks[relations.horizon :] = in_windows(np.isnan(u).any(1), relations.horizon) > 0
+        lacks[relations.horizon :] = in_windows(np.asarray(np.isnan(u).any(1)), relations.horizon) > 0
         silent = lacks & (result.status == Status.UNDECIDED)
         status = np.where(silent, np.int8(Status.MISSING), result.status)
         verdicts.append((status, 1 - result.margin))
