@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxbound.recordings.csvtext import BLANK_CELLS
 from jaxbound.recordings.expressions import Expression, derived, expression, fails
 from jaxbound.recordings.factors import (
     Factor,
@@ -23,7 +24,14 @@ from jaxbound.recordings.factors import (
     with_factors,
 )
 from jaxbound.recordings.notations import noted_numbers
-from jaxbound.recordings.oddcells import OddCells, error_hints, odd_of_frame, refuse_odd, unsaid_hints
+from jaxbound.recordings.oddcells import (
+    OddCells,
+    error_hints,
+    odd_of_frame,
+    refuse_odd,
+    texts_of_frame,
+    unsaid_hints,
+)
 from jaxbound.recordings.recordingformat import format_of
 from jaxbound.recordings.selection import Column, column_for, expressions_of, period
 from jaxbound.recordings.signals import Named
@@ -251,18 +259,21 @@ def without_words(model: Named, u: Data, y: Data) -> tuple[Data, Data, np.ndarra
             known = frame[column].mask(frame[column].isin(how.numbers))
             cleaned[name] = cleaned[name].assign(**{column: known})
         for column in _text_columns(frame, model):
-            column_cells = cleaned[name][column]
+            column_cells = cleaned[name][column].astype(object)  # categories of text are text
             numbers, cells = odd_of_frame(column_cells)
+            if how.decimal == "," or how.thousands:  # pandas reads 35.010 as decimals all the same
+                cells = texts_of_frame(column_cells)
             if not len(cells.rows):
                 continue
-            cells = cells.without(how.missing)
-            if len(cells.rows):
+            cells = cells.without((*BLANK_CELLS, *how.missing))
+            errors = cells.among(None, errors=True)
+            if len(errors.rows) < len(cells.rows):
                 noted = noted_numbers(column_cells.tolist(), how)
                 if noted is not None:
-                    numbers, cells = noted[0], cells.without(cells.words)
+                    numbers, cells = noted[0], errors
                     hint = f"column {column!r} is read as written, like {noted[1]}"
                     hints += [hint] * (hint not in hints)  # u and y may be one table
-                odd[column] = cells
+            odd[column] = cells
             cleaned[name] = cleaned[name].assign(**{column: numbers})
     condition, excluded, row = _condition(model), None, "row {}".format
     if condition is not None and cleaned:
@@ -286,8 +297,12 @@ def _text_columns(frame: "pd.DataFrame", model: Named) -> list[str]:
     """Return the columns of a table that hold text and that a model needs as numbers."""
     import pandas as pd
 
-    kinds = zip(frame.columns, frame.dtypes, strict=True)
-    words = [c for c, kind in kinds if kind == np.dtype(object) or pd.api.types.is_string_dtype(kind)]
+    words = []
+    for c, kind in zip(frame.columns, frame.dtypes, strict=True):
+        if isinstance(kind, pd.CategoricalDtype):
+            kind = kind.categories.dtype
+        if kind == np.dtype(object) or pd.api.types.is_string_dtype(kind):
+            words.append(c)
     words = [c for c in words if list(frame.columns).count(c) == 1]
     if not words:
         return []

@@ -45,6 +45,7 @@ from jaxbound.recordings.thousands import all_grouped, in_doubt, may_be_grouped
 from jaxbound.recordings.timestamps import NO_CLOCK, order_of, parse_stamps, without_clock
 from jaxbound.text.progress import reporter
 
+SIGNS = {".": "points", ",": "commas"}
 SHOWN = 200  # lines whose cells show whether a column holds numbers
 
 
@@ -151,8 +152,9 @@ def _wide(path: Path, model: SignalModel, how: RecordingFormat) -> tuple[Opened,
     opened, head = _opened(path, how)
     if not how.long:
         return opened, head, how
-    data = pivoted(opened, head, model, how)
-    return partial(BytesIO, data), head_of(path, data[:ENOUGH], "utf-8"), how.wide
+    data, hints = pivoted(opened, head, model, how)
+    wide = head_of(path, data[:ENOUGH], "utf-8")._replace(hints=hints)
+    return partial(BytesIO, data), wide, how.wide
 
 
 def _header_hint(head: Head, how: RecordingFormat) -> str:
@@ -173,6 +175,7 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
     written = _written_times(layout, plan, cells)
     _refuse_empty(layout, plan, cells)
     time, stamps, hint = _times_of(reader, written, cells, model)
+    is_shown = not hint  # the order of day and month
     for counting in (_rows_of_samples, _counting_rows):
         rows = counting(reader, opened, time, cells)
         if written is not None and not rows.all():
@@ -196,6 +199,8 @@ def _read(reader: LineReader, opened: Opened, path: Path, model: SignalModel, re
     ]
     dt = _period_of(layout, plan, model, time)
     recording = Recording.filed(model, samples, (time, stamps, written), path.name, dt)
+    if not is_shown:
+        written = None
     recording = replace(recording, taken=_taken(reader, cells, written, stamps))
     report(0.9)
     return with_hints(model, recording, layout.row, plan.condition, hints)
@@ -318,28 +323,49 @@ _FileTimes = tuple[np.ndarray, np.ndarray | None, str]
 
 def _refuse_thousands(reader: LineReader, opened: Opened, cells: Cells) -> None:
     """Raise ValueError for a column whose decimal signs may be signs for thousands."""
-    layout, doubted, sign = reader.layout, [], cells.decimal or reader.sign
-    if layout.delimiter == "," or layout.how.decimal or layout.how.thousands:
+    layout, signs = reader.layout, _signs_of(reader, cells)
+    if layout.how.decimal or layout.how.thousands:
+        return
+    if layout.delimiter == "," and "," not in signs.values():
         return  # cells that are parted by commas have decimal points
-    for name, values in cells.columns.items():
-        if name in reader.texts or name == reader.plan.time or name in reader.notations:
-            continue
-        if may_be_grouped(values):
-            doubted.append(name)
+    doubted = [n for n in signs if n != reader.plan.time and may_be_grouped(cells.columns[n])]
     if not doubted:
         return
+    shown = {}
+    for name, sign in signs.items():
+        values = cells.columns[name]
+        if (values[np.isfinite(values)] % 1).any():
+            shown[name] = sign
     texts = reader.written(opened)
     assert texts is not None, "it was read before"
     for name in doubted:
-        is_other = sign == "." and layout.decimal == ","
-        places = in_doubt(texts[name], cells.columns[name], sign, is_other)
+        column, sign, notation = texts[name], signs[name], reader.notations.get(name)
+        if notation is not None:
+            column = notation.without_unit(column)
+        is_other = any(other != sign for other in shown.values()) or (sign == "." and layout.decimal == ",")
+        places = in_doubt(column, cells.columns[name], sign, is_other)
         if places:
             found = [f"{texts[name][k].as_py().strip()} in {layout.row(k)}" for k in places]
             raise ValueError(thousands(name, found))
-        like = all_grouped(texts[name])
-        if like:
+        like = all_grouped(column, sign)
+        if like and (sign == "." or layout.delimiter == "\t"):
             decimals = f"column {name!r} is read as decimals, like {like}"
-            layout.hints.append(f"{decimals}: if points are for thousands, write it without them")
+            layout.hints.append(f"{decimals}: if {SIGNS[sign]} are for thousands, write it without them")
+
+
+def _signs_of(reader: LineReader, cells: Cells) -> dict[str, str]:
+    """Return {column: the decimal sign by which it is read} of those with numbers that are not by
+    thousands.
+    """
+    signs: dict[str, str] = {}
+    for name in cells.columns:
+        notation = reader.notations.get(name)
+        if name in reader.texts or (notation is not None and (notation.thousands or notation.on)):
+            continue
+        signs[name] = cells.decimal or reader.sign
+        if notation is not None:
+            signs[name] = notation.decimal
+    return signs
 
 
 def _written_times(layout: Layout, plan: Wanted, cells: Cells) -> "Arrow | None":

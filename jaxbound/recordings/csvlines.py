@@ -8,7 +8,10 @@ such a line is refused. What stands behind the last end is no row: it may be cut
 """
 
 import re
+import sys
+import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import IO
 
@@ -16,6 +19,23 @@ import numpy as np
 
 BOM = b"\xef\xbb\xbf"
 BLOCK = 1 << 20  # bytes looked at at once
+PATIENCE = 1.0  # s, with a thread that holds a file that is read
+
+
+@contextmanager
+def let_go(file: object) -> Iterator[None]:
+    """Wait at the end until no thread of pyarrow holds a file that was given to it.
+
+    Its readers end on their own time: one that lets go of a file while the interpreter ends aborts the
+    process, whatever its exit code was to be.
+    """
+    before = sys.getrefcount(file)
+    try:
+        yield
+    finally:
+        until = time.monotonic() + PATIENCE
+        while sys.getrefcount(file) > before and time.monotonic() < until:
+            time.sleep(0)  # the thread needs the interpreter for it
 
 
 class CountedLines:

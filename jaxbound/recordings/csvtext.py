@@ -214,7 +214,8 @@ def layout_of(head: Head, how: RecordingFormat = UNSTATED, header: int | None = 
         hold = "row {} holds" if begin == 1 else "rows {} hold"
         hints.append(f"{hold.format(rows)} no samples below the names of the columns: left out")
         skip = numbers[begin] - 1
-    if all(len(cells) == len(names) + 1 and not cells[-1].strip() for cells in data[begin:]):
+    longer = sum(len(cells) == len(names) + 1 and not cells[-1].strip() for cells in data[begin:])
+    if 2 * longer > len(data) - begin:  # others are no rows
         hints.append("each row has a delimiter more than the names of the columns, and nothing behind it")
         names.append("")
     first = data[begin] + [""] * (len(names) - len(data[begin]))
@@ -302,7 +303,7 @@ def _decoded(head: bytes, encoding: str = "") -> tuple[str, str]:
         return body.decode(), "utf-8"
     except UnicodeDecodeError:
         # Latin letters with accents are rare in any text, and control characters stand in none
-        controls, foreign = sum(b < 9 for b in head), sum(b > 127 for b in head)
+        controls, foreign = sum(b < 9 for b in head.replace(ZEROS, b"")), sum(b > 127 for b in head)
         if controls or foreign > len(head) // 4:
             raise ValueError("this is not a text file: give a CSV file in UTF-8") from None
         return head.decode("cp1252", "replace"), "cp1252"

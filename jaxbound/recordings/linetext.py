@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxbound.recordings.columns import from_arrow
-from jaxbound.recordings.csvlines import CountedLines, line_ends, lines_of
+from jaxbound.recordings.csvlines import CountedLines, let_go, line_ends, lines_of
 from jaxbound.recordings.csvtext import (
     BLANK,
     BLANK_CELLS,
@@ -64,14 +64,11 @@ class Cells(NamedTuple):
 
     @property
     def repeated(self) -> np.ndarray:
-        """(N - 1,) bool: whether each row but the first holds what the row before it does."""
+        """(N - 1,) bool: whether each row but the first holds the numbers and texts of the row before it."""
         same = np.ones(max(self.rows - 1, 0), bool)
         for x in self.columns.values():
             missing = x != x  # NaN; a text is what it is
             same &= (x[1:] == x[:-1]) | (missing[1:] & missing[:-1])
-        for cells in self.odd.values():  # words are not compared
-            same[np.maximum(cells.rows - 1, 0)] = False
-            same[np.minimum(cells.rows, len(same) - 1)] = False
         return same
 
     def kept(self, rows: np.ndarray) -> "Cells":
@@ -356,18 +353,25 @@ class LineReader:
 
     def trouble(self, line: bytes) -> str:
         """Return the trouble with a line, as far as its cells show; or ""."""
-        if self.layout.is_open(line):
-            return UNCLOSED
-        if self.layout.is_blank(line):
-            return BLANK
-        cells = self.layout.cells(line)
-        if len(cells) != len(self.layout.names):
-            return f"has {len(cells)} cells, the header has {len(self.layout.names)} columns"
+        trouble, cells = self._trouble_of_form(line), self.layout.cells(line)
+        if trouble:
+            return trouble
         for name, i in self.index.items():
             cell = cells[i].strip()
             is_read = name in self.texts or cell in MISSING_CELLS or is_number(cell, self.layout.decimal)
             if not is_read:
                 return no_number("", name, cell).strip()
+        return ""
+
+    def _trouble_of_form(self, line: bytes) -> str:
+        """Return why a line is no row, whatever its cells hold; or ""."""
+        if self.layout.is_open(line):
+            return UNCLOSED
+        if self.layout.is_blank(line):
+            return BLANK
+        cells, names = self.layout.cells(line), self.layout.names
+        if len(cells) != len(names):
+            return f"has {len(cells)} cells, the header has {len(names)} columns"
         return ""
 
     def refuse(self, cells: Cells, excluded: np.ndarray | None, row: Callable[[int], str]) -> None:
@@ -498,11 +502,12 @@ class LineReader:
             column_names=names, skip_rows=self.layout.skip, encoding=self.layout.encoding, block_size=size
         )
         with opened() as file:
-            lines = CountedLines(file, self.layout.delimiter)
-            try:
-                table = pc.read_csv(lines, read, self._parsing(), self._converting(decimal))
-            except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError):
-                table = None
+            lines, parsing = CountedLines(file, self.layout.delimiter), self._parsing()
+            with let_go(lines):
+                try:
+                    table = pc.read_csv(lines, read, parsing, self._converting(decimal))
+                except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError):
+                    table = None
         if lines.unended and (table is not None or lines.lines <= self.layout.skip):
             self._note_unended(lines.lines + 1)
         if table is None:
@@ -608,9 +613,9 @@ class LineReader:
             raise ValueError(f"row {between[0]} {BLANK}")
 
     def trouble_in(self, opened: Opened) -> str:
-        """Return a sentence on the first row that is none, or has a cell that is no number."""
+        """Return a sentence on the first line that is no row."""
         for number, line in self._numbered(opened):
-            trouble = self.trouble(line)
+            trouble = self._trouble_of_form(line)
             if trouble and trouble != BLANK:
                 return f"row {number} {trouble}"
         return "the file cannot be read"

@@ -4,6 +4,7 @@ Cells stay the texts that they are, so that all that is known of cells of other 
 """
 
 from collections.abc import Iterable
+from functools import partial
 from io import BytesIO
 
 import numpy as np
@@ -20,9 +21,11 @@ ALIKE = 0.75
 """Share of all times that each tag needs, where nothing is said of how long a value stands."""
 
 
-def pivoted(opened: Opened, head: Head, model: SignalModel, how: RecordingFormat) -> bytes:
-    """Return the lines of a file with a column for each tag that the model names, or for all where it names
-    none.
+def pivoted(
+    opened: Opened, head: Head, model: SignalModel, how: RecordingFormat
+) -> tuple[bytes, tuple[str, ...]]:
+    """Return (the lines of a file with a column for each tag that the model names, or for all where it names
+    none; hints for its owner).
 
     Args:
         opened: opens the lines. head: the first of them. how: what is stated of them, with `long`.
@@ -37,6 +40,11 @@ def pivoted(opened: Opened, head: Head, model: SignalModel, how: RecordingFormat
         columns["time"] = model.columns["time"]
     reader = reader_of(head, Signals((), (value,), columns), how.wide)
     cells = reader.written(opened)
+    if cells is None or how.skip or how.comment:
+        sifted = reader.sifted(opened)
+        if sifted is not None:
+            opened = partial(BytesIO, sifted)
+            cells = reader.written(opened)
     if cells is None:
         raise ValueError(f"the file has a row a tag: {reader.trouble_in(opened)}")
     if reader.plan.time is None:
@@ -50,20 +58,29 @@ def pivoted(opened: Opened, head: Head, model: SignalModel, how: RecordingFormat
     numbers[[tags.index(name) for name in wanted]] = np.arange(len(wanted))
     own = numbers[codes]
     stamps, rows = _coded(times)
-    used = np.unique(rows[own >= 0])
-    order = used[np.argsort(_instants([stamps[k] for k in used], reader.layout), kind="stable")]
+    used = np.unique(rows[(own >= 0) & (rows >= 0)])
+    order = used[np.argsort(_instants([stamps[k] for k in used], reader.layout, model.dt), kind="stable")]
     place = np.full(len(stamps) + 1, -1)
     place[order] = np.arange(len(order))
     counting = np.flatnonzero((own >= 0) & (place[rows] >= 0))
     table = np.full((len(order), len(wanted)), -1)
-    _refuse_two(place[rows[counting]], own[counting], counting, cells[value], wanted, how)
+    again = _again(place[rows[counting]], own[counting], counting, cells[value], wanted, how)
+    left = {
+        "hold no time": np.flatnonzero(rows < 0),
+        "hold no tag": np.flatnonzero((codes < 0) & (rows >= 0)),
+        "have the tag and the time of another row": again,
+    }
+    for reason, places in left.items():
+        if len(places):
+            reader.left[reason] = sorted(map(reader.layout.number, places.tolist()))
     if how.equal == "first":  # the last that is put down stays
         counting = counting[::-1]
     table[place[rows[counting]], own[counting]] = counting
     _refuse_unequal(table, wanted, how)
     names = [reader.plan.time, *wanted]
     body = [texts([stamps[k] for k in order]), *(_taken(cells[value], column) for column in table.T)]
-    return _as_lines(names, body, reader.layout.delimiter)
+    lines = _as_lines(names, body, reader.layout.delimiter)
+    return lines, (*reader.layout.hints, *reader.left_hints)
 
 
 def _coded(cells: Arrow) -> tuple[list[str], np.ndarray]:
@@ -75,30 +92,34 @@ def _coded(cells: Arrow) -> tuple[list[str], np.ndarray]:
     return coded.dictionary.to_pylist(), np.asarray(codes, np.int64)
 
 
-def _instants(stamps: list[str], layout: Layout) -> np.ndarray:
+def _instants(stamps: list[str], layout: Layout, dt: float | None) -> np.ndarray:
     """Return the numbers by which times are sorted."""
     import pyarrow as pa
 
     if all(is_number(stamp, layout.decimal) for stamp in stamps):
         return np.array([float(stamp.replace(layout.decimal, ".")) for stamp in stamps])
-    return parse_stamps(pa.array(stamps), None, "time {}".format, layout.how)[0]
+    return parse_stamps(pa.array(stamps), dt, "time {}".format, layout.how)[0]
 
 
-def _refuse_two(
+def _again(
     rows: np.ndarray,
     tags: np.ndarray,
     places: np.ndarray,
     values: Arrow,
     names: list[str],
     how: RecordingFormat,
-) -> None:
-    """Raise ValueError for two different values of one tag at one time, unless it is stated which counts."""
-    if how.equal:
-        return
+) -> np.ndarray:
+    """Return the places of rows whose tag and time another row has, too.
+
+    Raises:
+        ValueError: their values differ, and nobody states which counts.
+    """
     key = rows * len(names) + tags
     order = np.argsort(key, kind="stable")
     again = np.flatnonzero(np.diff(key[order]) == 0)
-    for k in again:
+    if how.equal == "last":
+        return places[order[again]]
+    for k in again[: len(again) * (not how.equal)]:
         one, other = (values[int(places[order[j]])].as_py() for j in (k, k + 1))
         if one != other:
             name = names[tags[order[k]]]
@@ -106,6 +127,7 @@ def _refuse_two(
                 f"tag {name!r} has two values of one time, {one} and {other}: say which counts, "
                 f'equal = "last" in {RECORDING} (--recording equal=last)'
             )
+    return places[order[again + 1]]
 
 
 def _refuse_unequal(table: np.ndarray, names: list[str], how: RecordingFormat) -> None:

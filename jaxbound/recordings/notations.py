@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxbound.recordings.columns import Arrow, from_arrow
+from jaxbound.recordings.csvtext import MISSING_CELLS
 from jaxbound.recordings.recordingformat import RecordingFormat
 
 TRUTHS = {"on": "off", "true": "false", "yes": "no"}
@@ -21,8 +22,8 @@ SIGNS = [(".", ""), (",", ""), (".", ","), (",", "."), (".", "'"), (",", "'"), (
 """Signs for decimals and thousands."""
 SUFFIX = r"^[-+]?[0-9.,][0-9.,' ]*?(?:[eE][-+]?[0-9]+)?(?P<unit> ?[^-+0-9.,' eE][^0-9]*| [^0-9 ][^ ]*)?$"
 LONGEST = 12  # letters of a unit
-NO_UNIT = re.compile(r"[-+]?[0-9.,]+|[eEdD][-+]?[0-9]+|[x*\u00d7\u00b7^].*")
-"""What stands behind a number and belongs to it: 1.5 E3, 1.5 x10^3, 1.5 -3."""
+NO_UNIT = re.compile(r"[-+\u2212]|[-+]?[0-9.,]+|[eEdD][-+]?[0-9]+|[x*\u00d7\u00b7^].*")
+"""What stands behind a number and belongs to it: 1.5 E3, 1.5 x10^3, 1.5 -3, 1.5 -."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +54,20 @@ class Notation:
             return np.where(is_on, 1.0, np.where(is_off, 0.0, np.nan)), is_on | is_off | none
         plain = _plain(cells)
         if self.unit:
-            bare = pc.utf8_rtrim_whitespace(pc.replace_substring_regex(plain, re.escape(self.unit) + "$", ""))
-            plain = pc.if_else(pc.ends_with(plain, self.unit), bare, "")
+            plain = pc.if_else(pc.ends_with(plain, self.unit), self.without_unit(cells), "")
         fits = _mask(pc.match_substring_regex(plain, self.pattern))
         if self.thousands:
             plain = pc.replace_substring(plain, self.thousands, "")
         plain = pc.utf8_ltrim(pc.replace_substring(plain, self.decimal, "."), "+")
         numbers = pc.if_else(pa.array(fits), plain, pa.scalar(None, pa.string()))
         return from_arrow(numbers.cast(pa.float64())), fits | none
+
+    def without_unit(self, cells: Arrow) -> Arrow:
+        """Return cells with usual signs for minus and blanks, and without the unit."""
+        import pyarrow.compute as pc
+
+        bare = pc.replace_substring_regex(_plain(cells), re.escape(self.unit) + "$", "")
+        return pc.utf8_rtrim_whitespace(bare)
 
     def number(self, cell: str) -> float | None:
         """Return the number in one cell, None where it holds none: `numbers`, sooner."""
@@ -158,8 +165,7 @@ def noted_numbers(cells: Sequence[object], how: RecordingFormat) -> tuple[np.nda
 
     texts: list[str | None] = []
     for cell in cells:
-        is_missing = cell is None or cell != cell or str(cell).strip() in how.missing
-        if is_missing:
+        if cell is None or cell != cell or str(cell).strip() in (*MISSING_CELLS, *how.missing):
             texts.append(None)
         elif isinstance(cell, str):
             texts.append(cell.strip())

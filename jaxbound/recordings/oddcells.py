@@ -132,5 +132,13 @@ def odd_of_frame(cells: "pd.Series") -> tuple["pd.Series", OddCells]:
     except OverflowError:
         raise ValueError(f"column {cells.name!r} holds a number that is too large to compute with") from None
     odd = np.flatnonzero((cells.notna() & numbers.isna()).to_numpy(bool))
-    words = [str(word).strip() for word in cells.iloc[odd]]
-    return numbers, OddCells(odd, words)
+    return numbers, _cells_at(cells, odd)
+
+
+def texts_of_frame(cells: "pd.Series") -> OddCells:
+    """Return the cells of a column that are texts, whatever they hold."""
+    return _cells_at(cells, np.flatnonzero([isinstance(cell, str) for cell in cells]))
+
+
+def _cells_at(cells: "pd.Series", rows: np.ndarray) -> OddCells:
+    return OddCells(rows, [str(word).strip() for word in cells.iloc[rows]])

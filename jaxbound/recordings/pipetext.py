@@ -48,7 +48,14 @@ from jaxbound.recordings.selection import Moments
 from jaxbound.recordings.signals import SignalModel
 from jaxbound.recordings.stream import Complain, OtherSamples, Stream, Taken, digests_of
 from jaxbound.recordings.thousands import Doubt
-from jaxbound.recordings.timestamps import NO_CLOCK, parse_stamps, since_epoch, without_clock
+from jaxbound.recordings.timestamps import (
+    NO_CLOCK,
+    order_in_words,
+    order_of,
+    parse_stamps,
+    since_epoch,
+    without_clock,
+)
 
 SOURCE = "standard input"
 LONGEST = 1 << 20  # bytes of a line
@@ -97,6 +104,7 @@ class PipeText(Stream):
         self.number = 0  # lines so far
         self.resumed = 0  # those before this process, as long as it is not clear how the stream goes on
         self.texts: list[str] = []  # the first and the last time, where it is written as text
+        self.order = ""  # of day and month, as soon as times show it
         self.numbers: Numbers | None = None  # how those of a time tell it, and whether that is known
         self.unit_known = False
         self.lone = np.zeros(0)  # the first number, as long as it is the only one
@@ -132,6 +140,7 @@ class PipeText(Stream):
             self.rest, self.returns = b"", 1
         self._resume_clock(memory)
         self.texts, self.unit_known = memory["texts"], memory["unit_known"]
+        self.order = memory.get("order", "")
         self.lone = np.array(memory["lone"], float)
         if memory["numbers"] is not None:
             counting, scale, origin = memory["numbers"]
@@ -165,6 +174,7 @@ class PipeText(Stream):
             "lone": self.lone.tolist(),
             "unit_known": self.unit_known,
             "texts": self.texts,
+            "order": self.order,
             "broken": broken,
             "before": {name: x.item() for name, x in before.items() if x.dtype.kind != "M"},
             "reader": self.reader.memory(),
@@ -398,8 +408,11 @@ class PipeText(Stream):
 
     @property
     def _format(self) -> RecordingFormat:
-        """The format that is stated."""
-        return self._known_reader.layout.how
+        """The format that is stated, or that times have shown."""
+        how = self._known_reader.layout.how
+        if not self.order:
+            return how
+        return replace(how, time_format=self.order)
 
     @property
     def _known_reader(self) -> LineReader:
@@ -722,8 +735,8 @@ class PipeText(Stream):
             self.complain("hint", counting.hint)
 
     def _text_times(self, cells: Arrow) -> Times:
-        """Return times that are written as text; they are read behind the first and the last, by which the
-        order of day and month stays what it was.
+        """Return times that are written as text; they are read behind the first and the last, and by the
+        order of day and month that times have shown.
         """
         import pyarrow as pa
 
@@ -737,10 +750,15 @@ class PipeText(Stream):
         if before:
             last = self.clock.last
         time, stamps, hint = parse_stamps(every, period, "".format, self._format, last)
+        if stamps is not None and not hint and not self._format.time_format:
+            self.order = order_of(every, stamps)
+            if self.order and self.hinted:
+                shown = f"time stamps like {cells[0].as_py()!r} show their order"
+                self.complain("hint", f"{shown}: they are {order_in_words(self.order)}")
+        if hint and not self.hinted:
+            self.complain("hint", hint)
+        self.hinted |= bool(hint)
         if not before:
-            if hint and not self.hinted:
-                self.complain("hint", hint)
-            self.hinted = bool(hint)
             return time, stamps, cells
         if stamps is not None:
             stamps = stamps[len(before) :]

@@ -58,14 +58,17 @@ def in_doubt(cells: Arrow, values: np.ndarray, sign: str, is_other: bool = False
     return [first, int(beside[np.argmin(np.abs(beside - first))])]
 
 
-def all_grouped(cells: Arrow) -> str:
-    """Return the first cell of a column of which every number could be a whole one with points for
+def all_grouped(cells: Arrow, sign: str) -> str:
+    """Return the first cell of a column of which every number could be a whole one with such signs for
     thousands, "" of any other: nothing tells them from decimals.
     """
     import pyarrow.compute as pc
 
     known = pc.utf8_trim_whitespace(pc.drop_null(cells))
-    if not len(known) or not _matching(known, r"^[-+]?[1-9][0-9]{0,2}(\.[0-9]{3})+$").all():
+    if (
+        not len(known)
+        or not _matching(known, rf"^[-+]?[1-9][0-9]{{0,2}}({re.escape(sign)}[0-9]{{3}})+$").all()
+    ):
         return ""
     return str(known[0].as_py())
 

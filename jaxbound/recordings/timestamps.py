@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from datetime import datetime
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from jaxbound.recordings.columns import from_arrow
 from jaxbound.recordings.recordingformat import UNSTATED, RecordingFormat
 from jaxbound.recordings.seams import TOLERATED_STEP
-from jaxbound.recordings.tidystamps import Tidied, elapsed, localized, tidied, zoned
+from jaxbound.recordings.tidystamps import DAY, Tidied, elapsed, localized, tidied, zoned
 from jaxbound.text.quantities import decimal
 
 if TYPE_CHECKING:
@@ -45,6 +46,22 @@ FORMATS = [f"{date}{gap}{clock}" for date in DATES for gap in (" ", "T") for clo
 OF_A_DAY = "%[dDjuwcxs]|%-d"  # a format with one of these has a date
 MINUTES = "%M:%S"  # as Excel writes a time that it shows as 08:30.0
 FORMATS += [*DATES[:-1], *CLOCKS[:4], MINUTES]
+ORDERS = (
+    "%m/%d/%Y",
+    "%d/%m/%Y",
+    "%m-%d-%Y",
+    "%d-%m-%Y",
+    "%m/%d/%y",
+    "%d/%m/%y",
+    "%y/%m/%d",
+    "%d.%m.%y",
+    "%y.%m.%d",
+)
+"""Dates in which day, month and year could change places."""
+BY_SIGNS: dict[str, list[str]] = {}
+"""{the signs of a text, which are no letters or digits: the formats of such texts}."""
+for _form in FORMATS:
+    BY_SIGNS.setdefault(re.sub(r"%.|[\sT]", "", _form), []).append(_form)
 STATING = " (--recording, or [recording] of the model file)"
 LONGEST = 64  # letters of a time stamp
 DIGITS = re.compile(r"\d{8}")  # of a day that is written without separators
@@ -130,7 +147,7 @@ def _in_order(
     time, others = _since_first(stamps), [other for other, x in read if (x != stamps).any()]
     if not others:
         return time, stamps, ""
-    order, rest = _order_in_words(form), " or ".join(map(_order_in_words, others))
+    order, rest = order_in_words(form), " or ".join(map(order_in_words, others))
     which = f"say which by time_format, like {_date_of(others[0])!r}{STATING}"
     steps = {round(_usual(_since_first(x)), 6) for _, x in evenest}
     if dt is None and len(time) > 1 and len(steps) > 1:
@@ -203,7 +220,8 @@ def _in_formats(
     """
     first = tidy.texts[0].as_py()
     read = []
-    for form in FORMATS:
+    # strptime compiles a pattern for each of its calls: it is asked of few of 170 formats
+    for form in BY_SIGNS.get(_signs(first), ()):
         # a fraction is one of a second: none of 08:30.5 is an hour
         if form.startswith(date) and _has_format(first, form) and (not tidy.fine or "%S" in form):
             stamps = _stamps_in(tidy.texts, tidy.more, form, where)
@@ -275,23 +293,25 @@ def order_of(cells: "pa.Array", stamps: np.ndarray) -> str:
     Args:
         cells: (N,) texts. stamps: (N,) as they were read.
     """
-    dates = []
-    for form in FORMATS:
-        date = _date_of(form)
-        swapped = date.replace("%d", "%_").replace("%m", "%d").replace("%_", "%m")
-        if date == swapped or (swapped not in DATES and not date.startswith("%y")):
-            continue
-        if _is_read_as(cells[0], form, stamps[0]) and _is_read_as(cells[-1], form, stamps[-1]):
-            dates.append(date)
-    if len(dates) != 1:
+    ends = cells.take([0, len(cells) - 1])
+    if not re.match(r"\D*\d\d?[-/.]\d", ends[0].as_py()):
         return ""
-    return dates[0]
+    dates: set[str] = set()
+    for tidy in (_split_fraction(ends), tidied(ends)):
+        first, last = tidy.texts.to_pylist()
+        for form in BY_SIGNS.get(_signs(first or ""), ()):
+            if _is_read_as(first, form, stamps[0]) and _is_read_as(last, form, stamps[-1]):
+                dates.add(_date_of(form))
+        if dates:
+            break
+    if len(dates) != 1 or not dates & {*ORDERS}:
+        return ""
+    return dates.pop()
 
 
-def _is_read_as(cell: "pa.Scalar", form: str, stamp: np.datetime64) -> bool:
-    """Return whether a text has a format, and is this time by it."""
-    text = cell.as_py().strip()
-    return _has_format(text, form) and bool(np.datetime64(datetime.strptime(text, form)) == stamp)
+def _is_read_as(text: str, form: str, stamp: np.datetime64) -> bool:
+    """Return whether a text has a format, and is this day by it, in whatever zone."""
+    return _has_format(text, form) and bool(abs(np.datetime64(datetime.strptime(text, form)) - stamp) < DAY)
 
 
 def instant_of(time: object) -> float:
@@ -332,6 +352,7 @@ def instant_of(time: object) -> float:
     return round(float((stamps[0] - EPOCH) / SECOND), 6)
 
 
+@lru_cache(1024)  # the rows that tell where a header stands are looked at once for each row it may be
 def stamp_kind(cell: str | None, form: str = "") -> str:
     """Return the kind of a cell: "stamp" for a time stamp of any format, "day" or "clock" for half of one,
     "" for none.
@@ -510,6 +531,11 @@ def _far(stamps: np.ndarray) -> np.ndarray:
     return np.asarray(~np.isnat(stamps) & ((years < YEARS[0]) | (years > YEARS[1])))
 
 
+def _signs(text: str) -> str:
+    """Return the signs of a text, which are no letters or digits."""
+    return re.sub(r"[\w\s]", "", text)
+
+
 def _has_format(text: str, form: str) -> bool:
     try:
         datetime.strptime(text, form)
@@ -576,7 +602,8 @@ def _date_of(form: str) -> str:
     return re.split("[ T]%[HIM]", form)[0]
 
 
-def _order_in_words(form: str) -> str:
+def order_in_words(form: str) -> str:
+    """Return the order of day, month and year in a format."""
     date = _date_of(form)
     for code, word in {"%Y": "year", "%y": "year", "%m": "month", "%d": "day", "%b": "month"}.items():
         date = date.replace(code, word)

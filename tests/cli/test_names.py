@@ -53,7 +53,8 @@ def test_detect_explain_and_verify(plant, capsys):
     out = plant / "out"
     assert run(capsys, "detect", plant / "m.toml", plant / "faulty.csv", "--out", out, "--json")[0] == 1
     worst = pd.read_csv(out / "alarms.csv")["worst"][0]
-    code, text, _ = run(capsys, "explain", out, "--at", worst)
+    assert "] + ... = 0" in run(capsys, "explain", out, "--at", worst)[1].replace("\n" + 32 * " ", " ")
+    code, text, _ = run(capsys, "explain", out, "--at", worst, "--all")
     assert code == 0 and f"{HEATER}[k-" in text and "AHU: Supply Air wrong?" in text
     (proof,) = out.glob("certificate-*.json")
     assert json.loads(proof.read_text())["certificate"] == "FAULT"

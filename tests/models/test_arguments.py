@@ -37,13 +37,19 @@ def test_a_model_names_the_argument_and_shows_what_is_meant(argument, value):
     assert repr(value)[:5] in str(refusal.value) or argument == "averages"
 
 
+def test_a_fit_says_where_a_field_of_recordings_belongs():
+    with pytest.raises(
+        ValueError, match=r"^every is how recordings are read.*: recording=\{'every': '5min'\}"
+    ):
+        jb.fit([], every="5min")
+
+
 @pytest.mark.parametrize(
     ("argument", "value", "beside"),
     [
         ("lags", 5, {"horizon": None}),
         ("inputs", 3, {}),
         ("outputs", 3, {}),
-        ("every", 5, {}),
         ("safety", "a", {}),
         ("safety", [1], {}),
         ("held_out", None, {}),

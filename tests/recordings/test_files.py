@@ -1,13 +1,17 @@
 """Recordings from CSV: what is read, and a sentence for everything that is wrong."""
 
+import contextlib
 import csv
 import datetime
+import threading
 
 import numpy as np
 import pandas as pd
+import pyarrow.csv
 import pytest
 
 import jaxbound as jb
+from jaxbound.recordings.read import read_signals
 from jaxbound.recordings.recording import Recording
 from jaxbound.runs.verdictfiles import AlarmColumns, write_alarms, write_verdicts
 
@@ -555,3 +559,21 @@ def test_a_model_need_not_state_resolution_or_sampling_period(tmp_path, kind, mo
     run = jb.read(tmp_path / f"run.{kind}", model)
     assert run.samples == 20 and run.dt == 2.0
     assert run.time[-1] == 38.0
+
+
+@pytest.mark.parametrize("cell", ["2.5", "two"])
+def test_no_thread_of_a_parser_holds_a_file_that_was_read(tmp_path, monkeypatch, cell):
+    """One that lets go of it while the interpreter ends aborts the process: a wrong exit code."""
+    path = tmp_path / "run.csv"
+    path.write_text(f"y\n1.5\n{cell}\n")
+    read_csv, held = pyarrow.csv.read_csv, []
+
+    def late(lines, *options):
+        held.append(lines)
+        threading.Timer(0.05, held.clear).start()
+        return read_csv(lines, *options)
+
+    monkeypatch.setattr(pyarrow.csv, "read_csv", late)
+    with contextlib.suppress(ValueError):
+        read_signals([path], [], ["y"])
+    assert not held

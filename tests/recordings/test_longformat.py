@@ -114,3 +114,45 @@ def test_a_name_of_a_tag_may_hold_a_comma_or_the_delimiter(tmp_path, tag):
     signals = Signals((tag,), ("y",), with_format({}, {"long": "tag,value"}), 2.0)
     run = jb.read(put(tmp_path / "run.csv", ["time;tag;value", *rows]), signals)
     assert run.u[:, 0].tolist() == list(range(T)) and run.y[:, 0].tolist() == list(range(1, T + 1))
+
+
+@pytest.mark.parametrize(
+    ("before", "more", "behind", "sentence"),
+    [
+        ([], ["2026-03-01 08:00:02,y,{y}"], [], "row 8 has the tag and the time of another row: left out"),
+        ([], [",y,7.5"], [], "row 8 holds no time: left out"),
+        ([], ["2026-03-01 08:00:02,,7.5"], [], "row 8 holds no tag: left out"),
+        (
+            ["# Logger 7", "Serial,12"],
+            [],
+            [],
+            "row 3 holds the names of the columns: 2 rows above it left out",
+        ),
+        ([], [], ["Total rows: 120"], "row 122 holds no sample, behind the last: left out"),
+        ([], [], [",y,7.5"], "row 122 holds no time: left out"),
+    ],
+)
+def test_rows_that_are_no_samples_are_left_out_and_counted(tmp_path, rng, before, more, behind, sentence):
+    wide, rows = lines(rng)
+    one = jb.read(put(tmp_path / "wide.csv", wide), Signals(("u",), ("y",), {}, 2.0))
+    more = [line.format(y=rows[5].split(",")[2]) for line in more]
+    run = jb.read(put(tmp_path / "long.csv", [*before, *rows[:7], *more, *rows[7:], *behind]), model())
+    np.testing.assert_array_equal(run.u, one.u)
+    np.testing.assert_array_equal(run.y, one.y)
+    np.testing.assert_array_equal(run.stamps, one.stamps)
+    assert sentence in run.hints
+
+
+@pytest.mark.parametrize(("equal", "value"), [("first", 1.0), ("last", 9.0)])
+def test_the_value_that_does_not_count_is_said(tmp_path, equal, value):
+    rows = ["time,tag,value", "0,u,1", "0,y,1", "0,y,9", "2,u,1", "2,y,2"]
+    run = jb.read(put(tmp_path / "run.csv", rows), model(equal=equal))
+    assert run.y[:, 0].tolist() == [value, 2]
+    left = {"first": 4, "last": 3}[equal]
+    assert f"row {left} has the tag and the time of another row: left out" in run.hints
+
+
+def test_clocks_without_a_day_are_read_by_dt(tmp_path):
+    rows = ["time,tag,value", "23:45,u,1", "23:45,y,1", "00:00,u,1", "00:00,y,2", "00:15,u,1", "00:15,y,3"]
+    run = jb.read(put(tmp_path / "run.csv", rows), model(dt=900.0))
+    assert run.y[:, 0].tolist() == [1, 2, 3] and run.time.tolist() == [0, 900, 1800]

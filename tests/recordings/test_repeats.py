@@ -56,3 +56,10 @@ def test_rows_that_differ_in_a_column_that_nobody_reads_are_two(tmp_path):
     assert jb.read(path, MODEL).samples == 9
     pipe = PipeText(MODEL, lambda kind, sentence: None)
     assert pipe.take(path.read_bytes()).samples == 9
+
+
+def test_a_row_that_repeats_an_error_of_a_spreadsheet_is_one_row(tmp_path):
+    rows = [*ROWS[:9], "2026-03-01 08:00:09,#N/A,1", "2026-03-01 08:00:09,#N/A,1", *ROWS[10:]]
+    run = jb.read(file(tmp_path / "run.csv", rows), MODEL)
+    assert run.samples == 40 and not len(run.starts) and np.isnan(run.y[9, 0])
+    assert "row 12 repeats the row before: left out" in run.hints

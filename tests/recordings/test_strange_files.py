@@ -1,6 +1,6 @@
 """Files as loggers, historians and spreadsheets write them: whatever stands around the samples, and however
 stamps and numbers are written, the samples are those of the plain file, or a sentence counts what is left
-out; a pipe, Parquet and a table of the same samples say the same.
+out; a pipe, Parquet, a table, a fleet and a fit say the same of the same samples.
 """
 
 import datetime
@@ -8,6 +8,17 @@ import datetime
 import numpy as np
 import pandas as pd
 import pytest
+from strange_files import (
+    COUNT,
+    DAMAGE,
+    DIALECTS,
+    STAMPS,
+    draw,
+    drawn_names,
+    no_damage,
+    plant,
+    samples,
+)
 
 import jaxbound as jb
 from jaxbound.certificates.checker.files import read_model
@@ -18,187 +29,10 @@ from jaxbound.recordings.recording import Recording
 from jaxbound.recordings.recordingformat import format_of, with_format
 from jaxbound.recordings.stream import Taken
 from jaxbound.recordings.timestamps import instant_of
+from jaxbound.runs.ask import Ask
+from jaxbound.runs.fleet import FleetTest, detect_fleet, read_manifest
 
-COUNT, DT = 40, 60
-BEGIN = datetime.datetime(2026, 3, 13)
-PLANT = jb.LinearSystem(
-    [["0.93"]],
-    [["0.035"]],
-    [[1]],
-    dt=DT,
-    noise="0.11",
-    resolution="0.005",
-    offset={"u": [0], "y": [20]},
-    inputs=["heater"],
-    outputs=["temp"],
-    horizon=4,
-)
-WINDOWS = jb.parity_relations(PLANT)
-
-
-def samples(rng):
-    """Return (heater, temp) of a healthy plant, (COUNT,) each, with few decimals."""
-    u = np.repeat(rng.choice([20.0, 40.0, 60.0, 80.0], 5), 8)
-    x, y = 35.0, []
-    for value in u:
-        y.append(round(x + rng.uniform(-0.1, 0.1), 2))
-        x = 20 + 0.93 * (x - 20) + 0.035 * value
-    return u, np.array(y)
-
-
-def clock24(t):
-    before = t - datetime.timedelta(days=1)
-    return f"{before:%Y-%m-%d} 24:00:00" if (t.hour, t.minute) == (0, 0) else f"{t:%Y-%m-%d %H:%M:%S}"
-
-
-def since(t):
-    return int((t - BEGIN).total_seconds())
-
-
-STAMPS = {
-    "iso": "%Y-%m-%d %H:%M:%S",
-    "iso T": "%Y-%m-%dT%H:%M:%S+01:00",
-    "German": "%d.%m.%Y %H:%M:%S",
-    "two digits": "%d.%m.%y %H:%M",
-    "American": "%m/%d/%Y %I:%M:%S%p",
-    "English": "%d/%m/%Y %H.%M.%S",
-    "historian": "%d-%b-%y %H:%M:%S",
-    "mail": "%a %d %b %Y %H:%M:%S GMT",
-    "ctime": "%a %b %d %H:%M:%S %Y",
-    "Apache": "[%d/%b/%Y:%H:%M:%S +0100]",
-    "zone by name": "%Y-%m-%d %H:%M:%S CET",
-    "zone by place": "%Y-%m-%d %H:%M:%S Europe/Berlin",
-    "day of the year": "%Y-%j %H:%M:%S",
-    "ISO week": "%G-W%V-%u %H:%M",
-    "file name": "%Y.%m.%d_%H-%M-%S",
-    "midnight at 24": clock24,
-    "German month": lambda t: f"{t:%d}. März {t:%Y %H:%M:%S}",
-    "epoch": lambda t: str(since(t) + 1773360000),
-    "seconds": lambda t: str(since(t)),
-    "pandas": lambda t: f"0 days {t:%H:%M:%S}",
-    "elapsed": lambda t: f"{30 + t.hour}:{t:%M:%S}",
-    "ISO span": lambda t: f"PT{since(t)}S",
-}
-
-
-def with_point(x):
-    return repr(x)
-
-
-def with_comma(x):
-    return repr(x).replace(".", ",")
-
-
-DIALECTS = {  # (delimiter, how a number is written, whether cells are quoted)
-    "plain": (",", with_point, False),
-    "German": (";", with_comma, False),
-    "tabs": ("\t", with_comma, False),
-    "quoted commas": (",", with_comma, True),
-    "units in cells": (";", lambda x: f"{with_comma(x)} °C", False),
-    "units in cells, quoted": (",", lambda x: f"{x!r} kW", True),
-}
-
-
-def without(lines, k):
-    return [line for number, line in enumerate(lines) if number != k]
-
-
-def no_damage(lines, d, at):
-    return lines, [], ""
-
-
-def units(lines, d, at):
-    return (
-        [lines[0], d.join(["[s]", "%", "degC"]), d.join(["", "Smp", "Avg"]), *lines[1:]],
-        [],
-        "hold no samples",
-    )
-
-
-def dimensionless(lines, d, at):
-    return [lines[0], d.join(["s", "1", "degC"]), *lines[1:]], [], "holds no samples"
-
-
-def preamble(lines, d, at):
-    return ["# Logger 7", f"Serial{d}12", "", *lines], [], "holds the names of the columns: 2 rows above it"
-
-
-def header_again(lines, d, at):
-    return [*lines[:at], lines[0], *lines[at:]], [], "repeats what stands above"
-
-
-def footer(lines, d, at):
-    return [*lines, "Total rows: 40"], [], "holds no sample, behind the last"
-
-
-def footer_of_cells(lines, d, at):
-    return (
-        [*lines, d.join(["Average", "1", "2"]), d.join(["Max", "3", "4"])],
-        [],
-        "2 rows hold no sample, behind",
-    )
-
-
-def footer_without_time(lines, d, at):
-    return [*lines, d.join(["", "1", "2"])], [], "holds no time"
-
-
-def delimiter_more(lines, d, at):
-    return [lines[0], *(line + d for line in lines[1:])], [], "has a delimiter more"
-
-
-def blank_cells(lines, d, at):
-    return [*lines[:at], d + d, *lines[at:], d + d], [], "2 rows hold no cell"
-
-
-def no_time(lines, d, at):
-    cells = lines[at].partition(d)
-    return [*lines[:at], "".join(["", *cells[1:]]), *lines[at + 1 :]], [at - 1], "holds no time"
-
-
-def power_cut(lines, d, at):
-    return (
-        [*lines[:at], lines[at][:5] + "\0" * 64 + lines[at][9:], *lines[at + 1 :]],
-        [at - 1],
-        "holds zero bytes",
-    )
-
-
-def cut(lines, d, at):
-    return [*lines[:-1], lines[-1][:-1] + "\0END"], [COUNT - 1], "line end"
-
-
-DAMAGE = (
-    no_damage,
-    units,
-    dimensionless,
-    preamble,
-    header_again,
-    footer,
-    footer_of_cells,
-    footer_without_time,
-    delimiter_more,
-    blank_cells,
-    no_time,
-    power_cut,
-    cut,
-)
-
-
-def written(u, y, stamp, dialect, damage, at):
-    """Return (bytes of a file, places of the samples that it lost, what a sentence says of it)."""
-    delimiter, number, quoted = DIALECTS[dialect]
-    form = STAMPS[stamp]
-    rows = [["time", "heater", "temp"]]
-    for k, (a, b) in enumerate(zip(u.tolist(), y.tolist(), strict=True)):
-        t = BEGIN + datetime.timedelta(seconds=DT * k)
-        rows.append([form(t) if callable(form) else t.strftime(form), number(a), number(b)])
-    lines = [delimiter.join(f'"{cell}"' if quoted else cell for cell in row) for row in rows]
-    lines, lost, sentence = damage(lines, delimiter, at)
-    text = "\n".join([*lines, ""])
-    if text.endswith("\0END\n"):
-        text = text.removesuffix("\0END\n")
-    return text.encode(), lost, sentence
+PLANT = plant()
 
 
 def from_pipe(data, model, cuts):
@@ -214,53 +48,105 @@ def from_pipe(data, model, cuts):
     return whole, said
 
 
-def check(path, rng, stamp, dialect, damage):
-    """Compare a file that is drawn with its samples, through every door."""
-    u, y = samples(rng)
-    data, lost, sentence = written(u, y, stamp, dialect, damage, int(rng.integers(3, COUNT - 2)))
-    path.write_bytes(data)
-    kept = np.setdiff1d(np.arange(COUNT), lost)
-    run = jb.read(path, PLANT)
-    about = f"{stamp}, {dialect}, {damage.__name__}: {run.hints}"
-    assert run.samples == len(kept), about
-    np.testing.assert_array_equal(run.u[:, 0], u[kept], about)
-    np.testing.assert_array_equal(run.y[:, 0], y[kept], about)
-    np.testing.assert_array_equal(run.time - run.time[0], DT * (kept - kept[0]), about)
-    assert sentence in " ".join(run.hints), about
-    assert (jb.detect(WINDOWS, run).status != jb.Status.FAULT).all(), about
-    cuts = sorted(rng.integers(0, len(data), 5).tolist())
-    live, said = from_pipe(data, PLANT, cuts)
-    np.testing.assert_array_equal(live.u, run.u, f"{about} {said}")
-    np.testing.assert_array_equal(live.y, run.y, f"{about} {said}")
-    np.testing.assert_allclose(np.diff(live.time), np.diff(run.time))
-    index = pd.DatetimeIndex([BEGIN + datetime.timedelta(seconds=DT * int(k)) for k in kept], name="time")
-    frame = pd.DataFrame({"heater": u[kept], "temp": y[kept]}, index=index)
-    table = Recording.of(PLANT, frame)
-    assert table.u.tobytes() == run.u.tobytes() and table.y.tobytes() == run.y.tobytes()
-    assert table.starts.tolist() == run.starts.tolist(), about
-    frame.reset_index().to_parquet(path.with_suffix(".parquet"))
-    assert jb.read(path.with_suffix(".parquet"), PLANT).y.tobytes() == run.y.tobytes()
+def check(path, rng, file):
+    """Compare a file that is drawn with its samples, through every door that reads it; return (Recording,
+    Result).
+    """
+    path.write_bytes(file.data)
+    u, y = file.u[file.kept], file.y[file.kept]
+    run = jb.read(path, file.model)
+    about = f"{file.about}: {run.hints}"
+    assert run.samples == len(u), about
+    np.testing.assert_array_equal(run.u[:, 0], u, about)
+    np.testing.assert_array_equal(run.y[:, 0], y, about)
+    moments = [file.moments[k] for k in file.kept]
+    since = np.array([moment.since - moments[0].since for moment in moments])
+    np.testing.assert_allclose(run.time - run.time[0], since, rtol=1e-9, atol=1e-3, err_msg=about)
+    for sentence in file.said:
+        assert sentence in " ".join(run.hints), (sentence, about)
+    result = jb.detect(file.relations, run)
+    assert (result.status != jb.Status.FAULT).all(), about
+    if file.dialect.from_pipe:
+        live, said = from_pipe(file.data, file.model, sorted(rng.integers(0, len(file.data), 5).tolist()))
+        np.testing.assert_array_equal(live.u, run.u, f"{about} {said}")
+        np.testing.assert_array_equal(live.y, run.y, f"{about} {said}")
+        np.testing.assert_allclose(np.diff(live.time), np.diff(since), 1e-9, 1e-3, err_msg=f"{about} {said}")
+    frame = pd.DataFrame({"time": [moment.utc for moment in moments], "heater": u, "temp": y})
+    frame.to_parquet(path.with_suffix(".parquet"))
+    bare = file.model.replace(columns={})
+    for same in (Recording.of(bare, frame), jb.read(path.with_suffix(".parquet"), bare)):
+        assert same.u.tobytes() == run.u.tobytes() and same.y.tobytes() == run.y.tobytes(), about
+        assert same.starts.tolist() == run.starts.tolist(), about
+    if not file.dialect.long and not file.dialect.on_change:
+        index = pd.DatetimeIndex([moment.utc for moment in moments])
+        cells = {name: file.texts[name] for name in ("heater", "temp")}
+        texts = Recording.of(file.model, pd.DataFrame(cells, index, dtype=object))
+        np.testing.assert_array_equal(texts.u[:, 0], u, about)
+        np.testing.assert_array_equal(texts.y[:, 0], y, about)
+    return run, result
+
+
+def check_fit(path, file):
+    """Check that a file gives the model of its samples, bit for bit."""
+    if not file.stamp.fits:
+        return
+    path.write_bytes(file.data)
+    index = pd.DatetimeIndex([file.moments[k].utc for k in file.kept], name="time")
+    frame = pd.DataFrame({"heater": file.u[file.kept], "temp": file.y[file.kept]}, index)
+    models = []
+    for data, how in ((frame, None), (path, file.dialect.how)):
+        try:
+            model = jb.fit(data, order=1, horizon=4, inputs=["heater"], outputs=["temp"], recording=how)
+        except ValueError as refused:  # an input that does not move
+            models.append(str(refused).partition(": ")[2])
+        else:
+            models.append(model_text(model.replace(columns={})))
+    assert models[0] == models[1], file.about
+
+
+def check_fleet(folder, drawn):
+    """Check that units of one fleet are what each is alone. drawn: [(file, its Recording, its Result)]."""
+    jb.save_model(drawn[0][0].model, folder / "plant.toml")
+    rows = ["unit,model,recording"]
+    for k, (file, _, _) in enumerate(drawn):
+        (folder / f"{k}.csv").write_bytes(file.data)
+        rows.append(f"{k},plant.toml,{k}.csv")
+    (folder / "fleet.csv").write_text("\n".join([*rows, ""]))
+    units = list(detect_fleet(read_manifest(folder / "fleet.csv"), FleetTest(Ask())))
+    assert len(units) == len(drawn)
+    for unit, (file, run, result) in zip(units, drawn, strict=True):
+        assert unit.verdict in ("no fault", "too little evidence"), (file.about, unit)
+        assert unit.summary.counts == result.counts, file.about
+        assert {*run.hints} <= {*unit.summary.hints}, file.about
 
 
 @pytest.mark.parametrize("stamp", STAMPS)
 def test_every_form_of_time_stamps_is_read(tmp_path, stamp):
     rng = np.random.default_rng(len(stamp))
-    check(tmp_path / "run.csv", rng, stamp, "German", no_damage)
+    check(tmp_path / "run.csv", rng, draw(rng, stamp, "German", [no_damage]))
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_every_way_to_write_cells_is_read(tmp_path, dialect):
+    rng = np.random.default_rng(len(dialect))
+    check(tmp_path / "run.csv", rng, draw(rng, "historian", dialect, [no_damage]))
 
 
 @pytest.mark.parametrize("damage", DAMAGE, ids=lambda damage: damage.__name__)
 def test_rows_that_are_no_data_are_left_out_and_counted(tmp_path, damage):
     rng = np.random.default_rng(len(damage.__name__))
     for stamp, dialect in (("iso", "plain"), ("seconds", "German")):
-        check(tmp_path / "run.csv", rng, stamp, dialect, damage)
+        check(tmp_path / "run.csv", rng, draw(rng, stamp, dialect, [damage]))
 
 
-@pytest.mark.parametrize("count", [12, 5000])
+@pytest.mark.parametrize("count", [4, 5000])
 def test_drawn_files_are_read_as_they_were_meant_or_say_what_is_left_out(tmp_path, count):
     rng = np.random.default_rng(48)
-    for _ in range(count):
-        stamp, dialect = rng.choice(list(STAMPS)), rng.choice(list(DIALECTS))
-        check(tmp_path / "run.csv", rng, str(stamp), str(dialect), DAMAGE[rng.integers(len(DAMAGE))])
+    for _ in range(0, count, 4):
+        dialect, dt = str(rng.choice(list(DIALECTS))), int(rng.choice([1, 60, 900]))
+        files = [draw(rng, *drawn_names(rng, dialect, dt)) for _ in range(4)]
+        check_fleet(tmp_path, [(file, *check(tmp_path / "run.csv", rng, file)) for file in files])
+        check_fit(tmp_path / "run.csv", files[0])
 
 
 CELLS = {  # (delimiter, cells of temp, their numbers; None: refused)
@@ -284,6 +170,7 @@ CELLS = {  # (delimiter, cells of temp, their numbers; None: refused)
     "a word": (",", ["1", "Bad", "2"], None),
     "a power behind a space": (",", ["1.5 E3", "2 E3", "3 E3"], None),
     "a power in words": (",", ["1.5 x10^3", "2 x10^3", "3 x10^3"], None),
+    "a sign behind a space": (",", ["1.5 -", "2 -", "3 -"], None),
     "cubic metres": (",", ["1.5 m3/h", "2 m3/h", "3 m3/h"], [1.5, 2, 3]),
 }
 THREE = PLANT.replace(inputs=["heater"], dt=60)
@@ -579,3 +466,117 @@ def test_a_stream_takes_one_decimal_sign_in_a_column(cuts):
     data = small(cells, ";").encode()
     run, said = from_pipe(data, THREE, cuts)
     assert run.y[:, 0].tolist() == [1.002] and len(said) >= 21  # and no 998.5 behind what may be 1002
+
+
+DAYS = {
+    "clock with dots": "%d/%m/%Y %H.%M.%S",
+    "half days": "%d/%m/%Y %I:%M:%S%p",
+    "plain": "%d/%m/%Y %H:%M",
+    "two digits": "%d-%m-%Y %H:%M:%S",
+    "zone": "%d/%m/%y %H:%M:%S UTC",
+    "fraction": "%d/%m/%Y %H:%M:%S.000",
+}
+
+
+def on_days(form, begin, hours):
+    """Return lines of a file, hours apart."""
+    moments = [begin + datetime.timedelta(hours=hours * k) for k in range(40)]
+    return [f"{moment:{form}},1,{k}.5\n" for k, moment in enumerate(moments)]
+
+
+@pytest.mark.parametrize("form", DAYS.values(), ids=DAYS)
+@pytest.mark.parametrize("begun", [3, 9])
+def test_a_stream_keeps_the_order_of_day_and_month_that_midnight_showed(form, begun):
+    hourly, head = PLANT.replace(dt=3600), "time,heater,temp\n"
+    lines = on_days(form, datetime.datetime(2026, 3, 4, 22), 1)
+    pipe = PipeText(hourly, print)
+    first = pipe.take("".join([head, *lines[:begun]]).encode())
+    again = PipeText(hourly, print, pipe.memory())  # by another process, too
+    assert str(first.stamps[-1]).startswith("2026-03-05")
+    for pieces in (pipe, again):
+        second = pieces.take("".join(lines[begun : begun + 2]).encode())
+        third = pieces.take("".join(lines[begun + 2 :]).encode())
+        assert [str(stamp)[:10] for stamp in second.stamps] == ["2026-03-05"] * 2
+        assert str(third.stamps[-1]).startswith("2026-03-06") and not len(third.starts)
+
+
+def test_a_stream_says_when_the_order_of_day_and_month_shows():
+    said = []
+    pipe = PipeText(PLANT.replace(dt=3600), lambda kind, sentence: said.append(sentence))
+    lines = on_days("%d/%m/%Y %H:%M", datetime.datetime(2026, 3, 4, 22), 1)
+    pipe.take(("time,heater,temp\n" + lines[0]).encode())
+    pipe.take("".join(lines[1:9]).encode())
+    pipe.take("".join(lines[9:]).encode())
+    assert "are read as month/day/year; they could also be day/month/year" in said[0]
+    assert said[1:] == ["time stamps like '04/03/2026 23:00' show their order: they are day/month/year"]
+
+
+@pytest.mark.parametrize("form", DAYS.values(), ids=DAYS)
+def test_fit_keeps_the_order_of_day_and_month_of_each_form(tmp_path, form):
+    path = tmp_path / "run.csv"
+    path.write_text("time,heater,temp\n" + "".join(on_days(form, datetime.datetime(2026, 3, 2), 9)))
+    run = jb.read(path, PLANT.replace(dt=9 * 3600))
+    assert run.taken.time_format == form.partition(" ")[0]
+
+
+def test_fit_keeps_no_order_of_day_and_month_that_is_a_guess(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(
+        "time,heater,temp\n" + "".join(on_days("%d/%m/%Y %H:%M", datetime.datetime(2026, 3, 4), 0.5))
+    )
+    run = jb.read(path, PLANT.replace(dt=1800))
+    assert run.taken.time_format == "" and "could also be day/month/year" in " ".join(run.hints)
+
+
+def test_dates_of_which_only_the_first_has_one_order_are_asked_about(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(
+        "time,heater,temp\n" + "".join(f"0{d}/03/2026 08:0{k},1,1\n" for d in (3, 4) for k in (0, 1))
+    )
+    assert "they could also be day/month/year" in " ".join(jb.read(path, PLANT).hints)
+
+
+def test_rows_with_a_delimiter_more_may_have_others_between(tmp_path):
+    path = tmp_path / "run.csv"
+    rows = [f"{60 * k};1;{k},5;" for k in range(9)]
+    path.write_text("\n".join(["time;heater;temp", *rows[:5], "time;heater;temp", *rows[5:], "Total: 9", ""]))
+    run = jb.read(path, PLANT)
+    assert run.samples == 9 and "row 7 repeats what stands above the samples: left out" in run.hints
+
+
+def test_zero_bytes_in_a_file_of_windows_are_left_out(tmp_path):
+    path = tmp_path / "run.csv"
+    rows = [f"{60 * k};1;{k},5 °C\n" for k in range(9)]
+    path.write_bytes("".join(["time;heater;temp\n", *rows[:5], "\0" * 512, "\n", *rows[5:]]).encode("cp1252"))
+    run = jb.read(path, PLANT)
+    assert run.samples == 9 and "row 7 holds zero bytes, as a power cut leaves them: left out" in run.hints
+
+
+def test_a_row_of_other_length_is_named_beside_columns_in_another_notation(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("time,heater,temp\n0,1,5 kW\n60,1,6 kW,7\n120,1,7 kW\n")
+    with pytest.raises(ValueError, match="row 3 has 4 cells, the header has 3 columns"):
+        jb.read(path, PLANT)
+
+
+@pytest.mark.parametrize("how", [{"thousands": "."}, {"decimal": ","}])
+def test_a_table_of_texts_is_read_by_the_signs_that_are_stated(how):
+    model = PLANT.replace(columns=with_format({}, how))
+    frame = pd.DataFrame({"heater": ["1", "2"], "temp": ["34.900", "1.234.567"]})
+    assert Recording.of(model, frame).y[:, 0].tolist() == [34900, 1234567]
+    frame = pd.DataFrame({"heater": ["1", "2"], "temp": ["34.900", "34.9"]})
+    with pytest.raises(ValueError, match="column 'temp' holds '34.900', which is not a number"):
+        Recording.of(model, frame)
+
+
+def test_tables_of_texts_may_lack_samples_and_be_categories():
+    cells = ["34,5 kW", "", "NaN", "#N/A", "34,25 kW"]
+    for kind in (object, "category"):
+        frame = pd.DataFrame({"heater": ["1", "null", "1", "", "1"], "temp": pd.Series(cells, dtype=kind)})
+        run = Recording.of(PLANT, frame)
+        np.testing.assert_array_equal(run.y[:, 0], [34.5, np.nan, np.nan, np.nan, 34.25])
+        np.testing.assert_array_equal(run.u[:, 0], [1, np.nan, 1, np.nan, 1])
+        assert "one cell of column 'temp' holds an error of a spreadsheet" in " ".join(run.hints)
+    stated = PLANT.replace(columns=with_format({}, {"thousands": "."}))
+    frame = pd.DataFrame({"heater": 1.0, "temp": pd.Categorical(["34.900", "1.000"])})
+    assert Recording.of(stated, frame).y[:, 0].tolist() == [34900, 1000]

@@ -94,6 +94,32 @@ def test_a_column_of_which_nothing_tells_is_said(tmp_path):
     for cells, delimiter in ((["35.120", "0.250"], ";"), (["35,120", "36,200"], ";"), (["35.120"] * 2, ",")):
         (tmp_path / "run.csv").write_text(text_of(cells, delimiter))
         assert "thousands" not in " ".join(jb.read(tmp_path / "run.csv", MODEL).hints)
+    (tmp_path / "run.csv").write_text(text_of(["35,120", "36,200"], "\t"))
+    assert (
+        jb.read(tmp_path / "run.csv", MODEL)
+        .hints[0]
+        .endswith("if commas are for thousands, write it without them")
+    )
+
+
+@pytest.mark.parametrize(
+    ("cells", "delimiter", "others"),
+    [
+        (["481", "1,184", "378"], "\t", "55.61"),
+        (["1,184", "6,710", "23,136"], "\t", "5.6"),
+        (["47", "-1,346", "513"], ";", "55.6"),
+        (["481 kW", "1,184 kW", "1,378 kW"], "\t", "55,61"),
+        (["1.183", "833", "160"], ",", '"68,2"'),
+    ],
+)
+def test_a_sign_that_is_no_decimal_sign_of_another_column_may_be_for_thousands(
+    tmp_path, cells, delimiter, others
+):
+    (tmp_path / "run.csv").write_text(text_of(cells, delimiter, others))
+    with pytest.raises(
+        ValueError, match=r"column 'y1' holds -?1.\d{3}.* in row \d.*: write whole numbers without"
+    ):
+        jb.read(tmp_path / "run.csv", MODEL)
 
 
 @pytest.mark.parametrize("size", [10**6, 9])
