@@ -167,8 +167,7 @@ class LineReader:
         trimmed = pc.utf8_trim_whitespace(texts)
         missing = pc.is_in(trimmed, pa.array([*MISSING_CELLS, *self.layout.how.missing]))
         known = pc.if_else(missing, pa.scalar(None, pa.string()), trimmed)
-        signs = sorted(self.layout.decimals, key=self.sign.__ne__)  # that of most numbers first
-        notation = notation_of(pc.drop_null(known), signs, self.layout.how)
+        notation = notation_of(pc.drop_null(known), self.layout.decimals, self.layout.how)
         if notation is None:
             return
         errors = cells.odd.pop(name).among(None, errors=True)

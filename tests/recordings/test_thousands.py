@@ -73,15 +73,6 @@ def test_points_in_a_file_with_decimal_commas_are_for_thousands(tmp_path):
         jb.read(tmp_path / "run.csv", MODEL)
 
 
-@pytest.mark.parametrize("delimiter", [";", "\t"])
-def test_commas_among_whole_numbers_are_no_decimals_in_a_file_with_decimal_points(tmp_path, delimiter):
-    (tmp_path / "run.csv").write_text(text_of(["991", "1,000", "984", "1,007"], delimiter, others="0.52"))
-    with pytest.raises(ValueError, match="row 3 of column 'y1' holds '1,000', which is not a number: write"):
-        jb.read(tmp_path / "run.csv", MODEL)
-    (tmp_path / "run.csv").write_text(text_of(["991", "1,5", "984"], delimiter, others="0.52"))
-    assert jb.read(tmp_path / "run.csv", MODEL).y[1] == 1.5  # what can be read in one way
-
-
 @pytest.mark.parametrize("case", DECIMALS)
 @pytest.mark.parametrize("sign, delimiter", [(".", ";"), (".", "\t"), (".", ","), (",", ";"), (",", "\t")])
 def test_decimals_are_read_as_they_are(tmp_path, case, sign, delimiter):
