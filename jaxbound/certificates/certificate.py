@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -89,6 +89,15 @@ class Certificate(Witnessed):
         """The relations that faults and errors of sensors violate, collected once for all of them."""
         return Scale(self.window, self.h)
 
+    @cached_property
+    def judged(self) -> "Certificate":
+        """The certificate under the bounds by which the window was judged: wider ones outside of training,
+        which errors and faults explain that those stated exclude.
+        """
+        if self.beyond is None:
+            return self
+        return cast(Certificate, self.beyond())
+
     @property
     def sensor_errors(self) -> tuple[SensorError, ...]:
         """A SensorError for each output: the smallest error of that sensor alone that would explain the
@@ -106,7 +115,7 @@ class Certificate(Witnessed):
         constant_tolerance. Worked out at the first call.
         """
         sizes = Sizes()
-        for error in self.sensor_errors:
+        for error in self.judged.sensor_errors:
             output = self.window.model.outputs[error.output]
             sizes[output] = math.inf
             if error.size is not None:
@@ -122,14 +131,15 @@ class Certificate(Witnessed):
         if self.proves != Status.FAULT or self.window.unweighed:
             return ()
         inputs = enumerate(self.window.model.inputs)
-        return *self.sensor_candidates, *(name for i, name in inputs if self._scale.explained_without(i))
+        scale = self.judged._scale
+        return *self.sensor_candidates, *(name for i, name in inputs if scale.explained_without(i))
 
     def work_out(self, progress: Progress | None = None) -> None:
         """Work out .errors and .candidates: see `WindowCertificate.work_out`."""
         if self.proves != Status.FAULT or self.window.unweighed:
             return
         report = reporter(progress, "errors and candidates")
-        model, scale = self.window.model, self._scale
+        model, scale = self.window.model, self.judged._scale
         for i in range(model.p):
             scale.error(i)
             report((i + 1) / (model.p + model.m))
@@ -142,12 +152,12 @@ class Certificate(Witnessed):
         """The outputs among the candidates: without the exact program of each input."""
         if self.proves != Status.FAULT or self.window.unweighed:
             return ()
-        shares = []
-        for error in self.sensor_errors:
+        shares, judged = [], self.judged
+        for error in judged.sensor_errors:
             # None: no error of this sensor alone would do
             if error.size:
                 name = self.window.model.outputs[error.output]
-                shares.append((error.size / self._widest(error.output), name))
+                shares.append((error.size / judged._widest(error.output), name))
         return tuple(name for _, name in sorted(shares))
 
     def diagnose(self, faults: Sequence[NamedFault] | None = None) -> Diagnosis:
@@ -158,7 +168,7 @@ class Certificate(Witnessed):
             )
         if self.window.unweighed:
             raise NotImplementedError(self.window.unweighed)
-        return diagnose_window(self._scale, self.at[-1], faults)
+        return diagnose_window(self.judged._scale, self.at[-1], faults)
 
     def _widest(self, i: int) -> Fraction:
         """Return the largest width that bounds allow a reading of output i."""

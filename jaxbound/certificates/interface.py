@@ -3,10 +3,10 @@ of each kind.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from fractions import Fraction
-from functools import singledispatch
+from functools import partial, singledispatch
 from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
@@ -57,18 +57,23 @@ class WindowCertificate:
     """A proof of the verdict of one window, for people (`str`) and for whoever checks it (`to_json`).
 
     Fields: status: of the window, as detected. at: the index at which it ends, a tuple. test: of a monitor
-    the name of the test that it is of, else "".
+    the name of the test that it is of, else "". beyond: outside of training makes the certificate under the
+    wider bounds, by which the window was judged; None: it was by those stated.
     """
 
     status: Status
     at: Index
     test: str = ""
+    beyond: "Callable[[], WindowCertificate] | None" = None
 
     def of_test(self, name: str) -> Self:
         """Return the same certificate, of a test of a monitor: what it says is of the model of this test."""
+        return self._with(test=name)
+
+    def _with(self, **changes: object) -> Self:
         # certificates are frozen values: another name is another certificate
         own = copy(self)
-        vars(own)["test"] = name
+        vars(own).update(changes)
         return own
 
     @property
@@ -216,28 +221,34 @@ def certify(
 
     Returns:
         A WindowCertificate. Outside of training, where bounds are wider, it is of the bounds as stated where
-        these prove the verdict: that of a FAULT says how many times as wide they would have to be.
+        these prove the verdict: that of a FAULT says how many times as wide they would have to be. What alone
+        could explain a FAULT there, and what could not, is told by the wider bounds.
 
     Raises:
         ValueError: no relation has its data. NotImplementedError: a verdict that one relation or one
             behaviour cannot prove.
     """
     at = at or (len(y) - 1,)
-    wide = extrapolated(relations)
-    if wide is None or status == Status.FAULT:
-        return certificate_of(relations, u, y, status, at)
-    grade = int(wide.region.departure(np.asarray(u), np.zeros(len(y), bool)).grade[-1])
+    proof = partial(certificate_of, u=u, y=y, status=status, at=at)
+    wide, grade = extrapolated(relations), -1
+    if wide is not None:
+        grade = int(wide.region.departure(np.asarray(u), np.zeros(len(y), bool)).grade[-1])
+    if wide is None or grade < 0:
+        return proof(relations)
+    beyond = partial(proof, wide.relations(grade))
     try:
-        stated = certificate_of(relations, u, y, status, at)
+        stated = proof(relations)
     except NotImplementedError:  # the wider bounds may have a behaviour that is found
-        if grade < 0:
+        if status == Status.FAULT:
             raise
-        return certificate_of(wide.relations(grade), u, y, status, at)
-    if grade >= 0 and stated.proves == Status.FAULT:
-        beyond = certificate_of(wide.relations(grade), u, y, status, at)
-        if beyond.proves != Status.FAULT:
-            return beyond
-    return stated
+        return beyond()
+    if stated.proves != Status.FAULT:
+        return stated
+    if status != Status.FAULT:
+        judged = beyond()
+        if judged.proves != Status.FAULT:
+            return judged
+    return stated._with(beyond=beyond)
 
 
 @singledispatch

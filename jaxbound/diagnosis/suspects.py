@@ -107,7 +107,7 @@ def suspect_of_window(
     if names[0] not in errors:  # an actuator
         return Suspect(names, cause=cause)
     # it states errors of sensors
-    jump = _jump(cast(Certificate, certificate), list(errors).index(names[0]))
+    jump = _jump(cast(Certificate, certificate).judged, list(errors).index(names[0]))
     return Suspect(names, float(errors[names[0]]), jump, cause)
 
 

@@ -307,8 +307,8 @@ def _bands(value: object) -> tuple[str, ...]:
     bands = _texts(value)
     for text in bands:
         try:
-            is_one = Fraction(text.rpartition(":")[2]) > 0
-        except (ValueError, ZeroDivisionError):
+            is_one = float(Fraction(text.rpartition(":")[2])) > 0
+        except (ValueError, ArithmeticError):  # a zero below a fraction, or no float holds it
             is_one = False
         if not is_one:
             raise ValueError(f"must be a number above 0, 0.5, or one of an output, T1:0.5: not {text!r}")

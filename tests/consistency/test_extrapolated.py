@@ -229,3 +229,21 @@ def test_a_window_outside_that_the_stated_bounds_explain_has_a_certificate_that_
     verify(res.explain(k).to_dict(), plant(G), u, y)
     with pytest.raises(ValueError, match=r"only the wider bounds there explain, extrapolation 1\.5, nothing"):
         verify(res.explain(eased).to_dict(), plant(G), u, y)
+
+
+@pytest.mark.parametrize("made", [lambda model: jb.parity_relations(model, 3), jb.redundancy])
+def test_the_cause_of_an_alarm_outside_is_no_more_excluded_than_the_wider_bounds_allow(made):
+    ends = dict(ranges={"u1": (-1, 1)}, extrapolation=G, outputs=["T1", "T2"])
+    model = jb.LinearSystem([[0]], [[1]], [[1], [1]], noise=NOISE, **ends)
+    u = np.full((8, 1), 3.0)
+    signs = [[1, 1], [-1, 1], [1, -1], [-1, 1], [1, 1], [1, -1], [-1, -1], [1, 1]]
+    y = 3 + 0.29 * np.array(signs) + [2, 0]  # errors within bounds that are 3 times as wide, and a bias
+    res = jb.detect(made(model), u, y)
+    for k in range(4, 8):
+        assert res.status[k] == jb.Status.FAULT
+        proof = res.explain(k)
+        assert "T1" in proof.candidates and proof.errors["T1"] < 2.2
+        verify(proof.to_dict(), model, u, y)  # by the bounds as stated
+    diagnosis = res.diagnose(4, 7)
+    (bias, *_) = diagnosis.explains
+    assert bias.fault.name == "bias of T1" and float(bias.size) < 2 < float(bias.largest)

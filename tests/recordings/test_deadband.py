@@ -61,7 +61,7 @@ def test_the_deadband_is_the_resolution_unless_that_says_more(tmp_path):
         stated.replace(resolution=0.05)
     with pytest.raises(ValueError, match="'u' is none"):
         plant(deadband="u:0.3")
-    for wrong in ("y:", "0", "-1", "y"):
+    for wrong in ("y:", "0", "-1", "y", "1e400", "1e-400"):
         with pytest.raises(ValueError, match="deadband of .recording. must be a number above 0"):
             RecordingFormat.of({"deadband": wrong})
     (hint,) = rounding_hints(stated, np.arange(40)[:, None] / 10)

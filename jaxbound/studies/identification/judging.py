@@ -19,7 +19,7 @@ from jaxbound.relations.uncertain import UncertainRelations
 from jaxbound.sets.floats.kernel import is_outside_xla, outside_xla
 from jaxbound.sets.floats.status import Status
 from jaxbound.studies.identification.records import Records
-from jaxbound.studies.identification.regression import Scales, courses
+from jaxbound.studies.identification.regression import Scales, courses, in_windows
 from jaxbound.studies.tuning.observer_tuning import observer_scale
 
 FEW = 2_048
@@ -156,7 +156,9 @@ def explains(relations: Windows, parts: Records) -> bool:
 
 
 def _tested(relations: Windows, parts: Records) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return (status, need) of each recording, (T,) each."""
+    """Return (status, need) of each recording, (T,) each; a window that lacks an input and is UNDECIDED is
+    MISSING.
+    """
     verdicts = []
     few = is_outside_xla() or relations.searched and sum(len(y) for _, y, _ in parts) < FEW
     for u, y, starts in parts:
@@ -165,7 +167,12 @@ def _tested(relations: Windows, parts: Records) -> list[tuple[np.ndarray, np.nda
             continue
         with outside_xla(few):
             result = detect(relations, _inputs(u), y, starts=starts, margins="exact")
-        verdicts.append((result.status, 1 - result.margin))
+        # an input that is missing may leave a window open however wide its bounds are
+        lacks = np.zeros(len(y), bool)
+        lacks[relations.horizon :] = in_windows(np.asarray(np.isnan(u).any(1)), relations.horizon) > 0
+        silent = lacks & (result.status == Status.UNDECIDED)
+        status = np.where(silent, np.int8(Status.MISSING), result.status)
+        verdicts.append((status, 1 - result.margin))
     return verdicts
 
 

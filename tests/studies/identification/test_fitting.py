@@ -65,6 +65,17 @@ def all_windows(u, y, s):
     return (np.stack([x[k : k + s + 1] for k in range(len(y) - s)]) for x in (u, y))
 
 
+@pytest.mark.parametrize("at", [0, 30])
+def test_a_recording_that_lacks_an_input_is_fitted(at, rng):
+    records = [run(rng, 60) for _ in range(2)]
+    for u, _ in records:
+        u[at] = np.nan  # short windows that need it are UNDECIDED, whatever their bounds
+    model = jb.fit(records, order=1, horizon=3)
+    for u, y in records:
+        counts = jb.detect(jb.parity_relations(model), u, y).counts
+        assert not counts["FAULT"] and 0 < counts["UNDECIDED"] <= 3
+
+
 class TestRegression:
     @pytest.mark.parametrize("direct", [False, True])
     def test_one_step_ahead_is_least_squares(self, rng, direct):
