@@ -126,6 +126,8 @@ def _collect(jaxpr: Jaxpr, missing: set[str], types: set[str]) -> None:
         floats = [dtype_of(v) for v in variables if inexact(v.aval)]
         types |= {str(d) for d in floats if d not in (np.float32, np.float64)}
         inner = inner_jaxprs(eqn)
+        if is_interp(eqn):  # as a whole, whatever JAX makes of it
+            continue
         if inner is not None:
             for part in inner:
                 _collect(part.jaxpr, missing, types)
@@ -149,7 +151,7 @@ def _constant(x):
 def _apply(eqn, values, absent):
     """Return (outs, absent, continuous) of one equation."""
     name, inner = eqn.primitive.name, body(eqn)
-    is_table = is_interp(eqn) and any(isinstance(v, Interval) for v in values)
+    is_table = is_interp(eqn)
     if is_table:
         name = INTERP
     elif inner is not None:
