@@ -230,11 +230,11 @@ def text_outside(model: LinearSystem) -> str:
         >>> text_outside(LinearSystem([[0.5]], [[1]], [[1]], extrapolation=1.2))
         '1.2 times as wide, and more the farther outside, up to 1.728 times'
     """
-    first, *_, last = map(float, (model.extrapolation or 1, *factors_outside(model)))
-    text = f"{first:.6g} times as wide"
-    if factors_outside(model):
-        text += f", and more the farther outside, up to {last:.6g} times"
-    return text
+    factors = factors_outside(model)
+    if not factors:
+        return "as wide as inside"
+    first, *_, last = map(float, factors)
+    return f"{first:.6g} times as wide, and more the farther outside, up to {last:.6g} times"
 
 
 def _grade(share: np.ndarray | float) -> np.ndarray:

@@ -153,6 +153,16 @@ def test_a_pipe_that_was_stopped_goes_on_with_what_it_knows(method, place, capsy
         assert counted[0] == counted[-1] in capsysbinary.readouterr().err.splitlines()
 
 
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [("1", "as wide as inside"), ("1.5", "1.5 times as wide, and more")],
+)
+def test_info_says_how_wide_bounds_are_outside(place, capsys, factor, said):
+    jb.save_model(paper(name="tank", ranges={"u1": (0, 1)}, extrapolation=factor), "wide.toml")
+    text = shell(capsys, "info", "wide.toml", code=0)
+    assert f"outside training  bounds {said}" in " ".join(text.split("\n")).replace("   ", "  ")
+
+
 def test_undecided_claims_nothing_outside(place, capsys):
     args = ["tank.toml", "run.csv", "--test", "outside=undecided", "--json"]
     found = json.loads(shell(capsys, "detect", *args, "--out", "out"))
