@@ -16,6 +16,7 @@ from jaxbound.certificates.plain import (
     plain_names,
     plain_samples,
 )
+from jaxbound.models.region import factors_outside
 from jaxbound.models.system import LinearSystem
 from jaxbound.models.testmodels import model_of, with_tests
 from jaxbound.models.watched import NO, UNKNOWN, modes_at
@@ -90,11 +91,11 @@ def verify(
     try:
         against(document, plain, inputs, outputs, str(recording.y.dtype), names, first, factors)
     except ValueError as e:
-        if (model.extrapolation or 1) == 1 or document["certificate"] == Status.FAULT.name:
+        if not factors_outside(model) or document["certificate"] == Status.FAULT.name:
             raise
         raise ValueError(
             f"{e}: of windows outside training that only the wider bounds there explain, extrapolation "
-            f"{float(model.extrapolation or 1):g}, nothing is confirmed"
+            f"{float(factors_outside(model)[0]):g}, nothing is confirmed"
         ) from None
 
 

@@ -140,8 +140,9 @@ def windows(
     if outside is None:
         return judged
     departure = outside.beyond.region.departure(np.asarray(given.u), judged.status == Status.MISSING)
-    for grade in np.unique(departure.grade[departure.grade >= 0]).tolist():
-        at = np.flatnonzero(departure.grade == grade)
+    grades = departure.grade
+    for grade in np.unique(grades[grades >= 0]).tolist():
+        at = np.flatnonzero(grades == grade)
         first, samples = stretches_around(at, test.horizon)
         beyond = Recording(end_to_end(given.u)[samples], end_to_end(given.y)[samples], first[1:])
         wide = as_stated(outside.test(grade), beyond, size=size)

@@ -307,8 +307,9 @@ def _deadband_hints(how: RecordingFormat, model: SignalModel, plan: Wanted, cell
     """Yield sentences on the deadbands that are not stated, and those that inputs seem to be written by."""
     seen: dict[str, str] = {}
     for name, signal in zip((*model.inputs, *model.outputs), (*plan.inputs, *plan.outputs), strict=True):
-        if isinstance(signal, Column) and least_change(cells.columns[signal.name]):
-            seen[name] = f"{name}:{least_change(cells.columns[signal.name]):.6g}"
+        change = least_change(cells.columns[signal.name]) if isinstance(signal, Column) else 0.0
+        if change:
+            seen[name] = f"{name}:{change:.6g}"
     of_outputs = [seen[name] for name in model.outputs if name in seen]
     if not how.deadband:
         perhaps = f", as they changed perhaps {','.join(of_outputs)}" * bool(of_outputs)

@@ -125,9 +125,9 @@ def _collect(jaxpr: Jaxpr, missing: set[str], types: set[str]) -> None:
         name, variables = eqn.primitive.name, (*eqn.invars, *eqn.outvars)
         floats = [dtype_of(v) for v in variables if inexact(v.aval)]
         types |= {str(d) for d in floats if d not in (np.float32, np.float64)}
-        inner = inner_jaxprs(eqn)
         if is_interp(eqn):  # as a whole, whatever JAX makes of it
             continue
+        inner = inner_jaxprs(eqn)
         if inner is not None:
             for part in inner:
                 _collect(part.jaxpr, missing, types)
@@ -151,8 +151,7 @@ def _constant(x):
 def _apply(eqn, values, absent):
     """Return (outs, absent, continuous) of one equation."""
     name, inner = eqn.primitive.name, body(eqn)
-    is_table = is_interp(eqn)
-    if is_table:
+    if is_interp(eqn):
         name = INTERP
     elif inner is not None:
         return _follow(inner.jaxpr, inner.consts, values, absent)
